@@ -9,6 +9,7 @@ from dolfinx_tresca.adapt.solve import (
     solve_adaptively,
 )
 from dolfinx_tresca.derivatives.goals import GoalError
+from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import (
     ContactError,
@@ -66,6 +67,7 @@ __all__ = [
     "ContactSolution",
     "ContactState",
     "ContactStatus",
+    "ContactTangent",
     "Contacts",
     "ConvergenceError",
     "Coulomb",
@@ -101,6 +103,7 @@ __all__ = [
     "SolverOptions",
     "StiffnessError",
     "SurfaceFields",
+    "SurfaceTangent",
     "TaggedMesh",
     "Tresca",
     "Units",

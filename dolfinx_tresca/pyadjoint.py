@@ -20,9 +20,9 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import prescribed_function
 from dolfinx_tresca.contact.step_state import StepState
-from dolfinx_tresca.derivatives.data_of_solution import DataOfSolution, inputs_of_problem
+from dolfinx_tresca.derivatives.change_of_data import DataOfSolution, inputs_of_problem
 from dolfinx_tresca.derivatives.goals import value_of
-from dolfinx_tresca.derivatives.gradient import gradient
+from dolfinx_tresca.derivatives.gradient_and_tangent import gradient
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.errors import ContactError, InputError

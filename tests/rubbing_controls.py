@@ -45,6 +45,15 @@ def smooth(control) -> np.ndarray:
     return wave.x.array
 
 
+def direction_of(control):
+    """Return the direction of `smooth` as the argument of a tangent."""
+    if isinstance(control, fem.Constant):
+        return smooth(control)
+    result = fem.Function(control.function_space)
+    result.x.array[:] = smooth(control)
+    return result
+
+
 def along(derivative, direction) -> float:
     """Return the derivative along a direction: a sum over the values of a control."""
     if not isinstance(derivative, fem.Function):

@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     ContactError,
     ContactPair,
     ContactProblem,
+    ContactTangent,
     Coulomb,
     InputError,
     MeanPressure,
@@ -135,6 +136,11 @@ def build(block: TaggedMesh) -> ContactProblem:
 
 def fails(*_: Any) -> Any:
     raise InputError("fails on the last rank")
+
+
+def tangent_by_load(scene: SimpleNamespace) -> ContactTangent:
+    scene.problem.solve()
+    return scene.problem.tangent([scene.load], [scene.load.value])
 
 
 def changed(scene: SimpleNamespace, **changes: Any) -> ContactProblem:
@@ -289,6 +295,19 @@ CASES: dict[str, Case] = {
         None,
         "controls differs",
     ),
+    "tangent, controls": (
+        lambda s, x: s.problem.tangent(x * [s.load], x * [s.load.value]),
+        2,
+        1,
+        "controls differs",
+    ),
+    "tangent, directions": (
+        lambda s, x: s.problem.tangent([s.load], [x * s.load.value]),
+        2.0,
+        1.0,
+        r"directions\[0\] differs",
+    ),
+    "tangent of a goal": (lambda s, x: tangent_by_load(s).of(x), OTHER_FORCE, FORCE, "goal.pair"),
     "tape, goals": (lambda s, x: s.tape.gradient({x: FORCE}, [s.load]), 1, 0, "goals"),
     "tape, controls": (
         lambda s, x: s.tape.gradient_by_step({}, x * [s.load]),

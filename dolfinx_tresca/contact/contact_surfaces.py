@@ -384,13 +384,13 @@ class ContactSurfaces(PetscOwner):
         The slip on an obstacle then counts relative to the obstacle.
         """
         state = self._state
-        jumps = self._obstacle_jumps(state.accepted.motions, state.motions)
+        jumps, _ = self.obstacle_jumps(state.accepted.motions, state.motions)
         for normal, _ in self.jump.slices:
             jumps[normal] = 0.0
         return replace(state.history, origin=state.history.origin + jumps)
 
-    def _obstacle_jumps(self, before: Array, after: Array) -> Array:
-        """Return the jumps (size,) that motions of obstacles cause.
+    def obstacle_jumps(self, before: Array, after: Array) -> tuple[Array, float]:
+        """Return the jumps (size,) that motions of obstacles cause, and the largest displacement.
 
         The jumps are divided by `JumpOperator.length_scale`, and are zero where no obstacle moves.
         Collective.
@@ -400,17 +400,18 @@ class ContactSurfaces(PetscOwner):
             after: (pairs, 3, 4) motions of the obstacles after these.
         """
         state, jump = self._state, self.jump
-        jumps: Array = np.zeros(len(jump.gap))
+        jumps, largest = np.zeros(len(jump.gap)), 0.0
         for start, end, slides_far, rows in zip(
             before, after, self._finite_sliding, jump.slices, strict=True
         ):
             if not np.array_equal(start, end):
                 u = state.configuration if slides_far else state.geometry
                 moved = self.obstacles.displacement(start, end, u)
+                largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
                 of_pair = jump.of_displacement(moved)
                 for indices in rows:
                     jumps[indices] = of_pair[indices]
-        return jumps
+        return jumps, largest
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.

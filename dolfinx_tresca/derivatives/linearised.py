@@ -1,4 +1,4 @@
-"""A solution, linearised at fixed contact states, and its adjoint.
+"""A solution, linearised at fixed contact states; its tangent and its adjoint.
 
 With the state of each node fixed (open nodes stay open, sticking nodes stick, slipping nodes move
 along their circles, which grow with the pressure if the law says so), a solution with the
@@ -8,18 +8,19 @@ displacement u and the multipliers x obeys
 
 where P projects onto the face, C is the curvature of the circles, and Q contains the slope of the
 slip bounds. Let the load change by df, the offsets (d; s) (gaps and slip origins) by do, and the
-radii of the circles by dg. With the unit vectors n along the multipliers on the circles, the change
-(du, dx) of the solution obeys
+radii of the circles by dg. With the unit vectors n along the multipliers on the circles, the
+tangent (du, dx) obeys
 
     K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
 
-For a goal q_u'u + q_x'x, the adjoint (z, y) obeys the transposed equations
+For a goal q_u'u + q_x'x, the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
-The goal changes by z'df + y'do + (q_x - B z)'n dg. If bodies float, K z + B'y = q_u has a solution
-only if y balances q_u in the way in which contact forces balance the load: y satisfies the
-equations of equilibrium (`floating/equilibrium.py`) with q_u in place of the load.
+For Q = 0, both systems have the same matrix; slip bounds that follow the pressure make it
+unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'n dg. If bodies float, K z + B'y = q_u
+has a solution only if y balances q_u in the way in which contact forces balance the load: y
+satisfies the equations of equilibrium (`floating/equilibrium.py`) with q_u in place of the load.
 """
 
 from __future__ import annotations
@@ -142,6 +143,27 @@ class LinearisedContact:
                 int(stick),
             )
 
+    def tangent(self, force: Array, offset: Array, radius: Array) -> tuple[fem.Function, Array]:
+        """Return the tangent (du, dx): the change of the solution by given changes of the data.
+
+        Here du is a displacement and dx (size,) are multipliers, see the module. Products with A
+        are kept for later solves. Collective.
+
+        Args:
+            force: (owned degrees of freedom,) change df of the right-hand side of K u = f; rows of
+                prescribed values have the change of these values.
+            offset: (size,) change of (d; s), divided by `JumpOperator.length_scale`.
+            radius: (n_discs,) change of the radii of the discs.
+
+        Raises:
+            ConvergenceError: no tangent exists.
+        """
+        grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
+        right = self.dual.jump.contact_force(grown).copy()
+        right.array = force - right.array
+        du, dx = self._solve(right, offset, None, transpose=False)
+        return du, dx + grown
+
     def adjoint(
         self,
         on_jump: Array,
@@ -152,16 +174,7 @@ class LinearisedContact:
         """Return the adjoint (z, y) for the goal on_jump'B u + on_x'x + on_u'u. Collective.
 
         Here z is a displacement, zero where u is prescribed, and y (size,) are multipliers, see the
-        module. In terms of y alone, with q_u = on_u + B'on_jump, T = P (I + Q') and rigid motions c
-        of floating bodies, the equations are
-
-            T ((A + C) y - G c) = T (B K^-1 q_u - q_x),    G'y + S c = missing,
-
-        where G and S belong to the equilibrium of floating bodies. The method is GCR (minimal
-        residuals), which needs no symmetry. Its preconditioner is the same system, with A replaced
-        by its model from all known products, including products of this call. The equation
-        G'y + S c = missing therefore holds from the first step on. Products with A are kept for
-        later solves.
+        module. Products with A are kept for later solves.
 
         Args:
             on_jump: (size,) derivative of the goal with respect to B u.
@@ -173,36 +186,59 @@ class LinearisedContact:
         Raises:
             ConvergenceError: no adjoint exists.
         """
-        force = self.dual.jump.contact_force(on_jump).copy()
+        right = self.dual.jump.contact_force(on_jump).copy()
         if on_u is not None:
-            force.array += on_u
+            right.array += on_u
+        return self._solve(right, on_x, accuracy, transpose=True)
+
+    def _solve(
+        self, force: PETSc.Vec, offset: Array, accuracy: float | None, transpose: bool
+    ) -> tuple[fem.Function, Array]:
+        """Return (v, y) with K v + B'y = force, and the equations of y. Collective.
+
+        They are T (B v - C y) = T offset, with T = P (I + Q') and y = P y for the adjoint
+        (`transpose`), and with T = P and y = (I + Q) P y for the tangent. In terms of y alone, with
+        rigid motions c of floating bodies, they are
+
+            T ((A + C) y - G c) = T (B K^-1 force - offset),    G'y + S c = missing,
+
+        where G and S belong to the equilibrium of floating bodies. The method is GCR (minimal
+        residuals), which needs no symmetry. Its preconditioner is the same system, with A replaced
+        by its model from all known products, including products of this call. The equation
+        G'y + S c = missing therefore holds from the first step on.
+
+        Raises:
+            ConvergenceError: no solution exists.
+        """
         dual, curvature, constraints = self.dual, self.curvature, self.dual.constraints
         accuracy = self.accuracy if accuracy is None else accuracy
         prescribed = dual.jump.system.prescribed
-        z = fem.Function(dual.jump.system.V, name="adjoint")
-        displacement = _FollowedDisplacement(dual, force, z.x.petsc_vec)
+        v = fem.Function(dual.jump.system.V, name="adjoint" if transpose else "displacement")
+        displacement = _FollowedDisplacement(dual, force, v.x.petsc_vec)
         missing, size = np.zeros(constraints.columns.shape[1]), 0.0
         if dual.equilibrium is not None:
-            missing, size = dual.equilibrium.resultants(force)
+            free = force.copy()
+            free.array[prescribed] = 0.0
+            missing, size = dual.equilibrium.resultants(free)
         unmet = missing
         jump_at_start = displacement.solve_start()
         store = dual.known_products()
         model = store.model()
-        maps = self._maps(model.diagonal)
+        maps = self._maps(model.diagonal, transpose)
         weight = 1.0 / (model.diagonal + curvature)
         root = np.sqrt(weight)
-        residual = right = maps.test(jump_at_start - on_x)
+        residual = right = maps.test(jump_at_start - offset)
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
-        terms = np.abs(jump_at_start) + np.abs(on_x)
+        terms = np.abs(jump_at_start) + np.abs(offset)
         rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
-        # y, c, and the values of z that follow them; and orthogonal steps of all three
+        # y, c, and the values of v that follow them; and orthogonal steps of all three
         ends = len(right), len(right) + len(missing)
         point = np.concatenate([np.zeros(ends[1]), displacement.values])
         steps: list[Array] = []
         images: Array = np.empty((len(right), 0))
         wanted, converged = 0.0, False
         for count in range(MOST_STEPS):
-            maps = self._maps(model.diagonal)
+            maps = self._maps(model.diagonal, transpose)
             step_y, step_c = model.solve_between(
                 maps, residual, constraints.columns, constraints.softness, missing
             )
@@ -235,39 +271,45 @@ class LinearisedContact:
             model = store.model()
         y, c = point[: ends[0]], point[ends[0] : ends[1]]
         accepted = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * right)
-        unsolved = not converged and norm(dual, root * residual) > max(accepted, rounding)
+        if not converged and norm(dual, root * residual) > max(accepted, rounding):
+            raise _none(transpose)
         unmet = unmet - dual.inner(constraints.columns, y) - constraints.softness @ c
-        if unsolved or (size > 0.0 and np.linalg.norm(unmet) > 1e-6 * size):
-            raise ConvergenceError(
-                "the number has no adjoint: with the contact state of each node fixed (open, "
-                "sticking, slipping) nothing, or hardly anything, holds a body against the motion "
-                "that the number depends on. Ask for another number, or refine for the energy "
-                "error."
-            )
+        largest = size if transpose else size + norm(dual, y)
+        # relative to the size of the data: derivatives of the goal, or changes of the load
+        if size > 0.0 and np.linalg.norm(unmet) > 1e-6 * largest:
+            raise _none(transpose)
         # a small part of the tolerable error of y
-        displacement.improve(y, z.x.petsc_vec, 0.03 * accuracy, 0.0)
+        displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
-            dual.equilibrium.move(y, z.x.petsc_vec, c)
-        z.x.petsc_vec.array[prescribed] = 0.0
-        z.x.scatter_forward()
-        return z, y
+            dual.equilibrium.move(y, v.x.petsc_vec, c)
+        v.x.petsc_vec.array[prescribed] = force.array[prescribed]
+        v.x.scatter_forward()
+        return v, y
 
-    def _maps(self, diagonal: Array) -> NodalMaps:
-        """Return T and the other maps of `NodalMaps`, for the diagonal (size,) of the model of A.
+    def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
+        """Return T and the other maps of `NodalMaps`, for `_solve`. Not collective.
 
-        Not collective.
+        Args:
+            diagonal: (size,) diagonal D of the model of A.
+            transpose: whether the maps are those of the adjoint.
         """
         project, change = self.face.project, self._states[2]
         weight = 1.0 / (diagonal + self.curvature)
 
         def test(v: Array) -> Array:
-            return project(change.T @ v)
+            return project(change.T @ v) if transpose else project(v)
+
+        def inverse(v: Array) -> Array:
+            weighted = np.asarray((weight * test(v).T).T)
+            return weighted if transpose else change @ weighted
 
         def added(v: Array) -> Array:
             along = project(v)
-            return test((self.curvature * along.T).T) + ((v - along).T * diagonal).T
+            curved = np.asarray((self.curvature * along.T).T)
+            left = v - (along if transpose else change @ along)
+            return (test(curved) if transpose else curved) + (left.T * diagonal).T
 
-        return NodalMaps(test=test, added=added, inverse=lambda v: (weight * test(v).T).T)
+        return NodalMaps(test=test, added=added, inverse=inverse)
 
 
 class _FollowedDisplacement:
@@ -286,7 +328,7 @@ class _FollowedDisplacement:
 
         Args:
             dual: the problem.
-            f: right-hand side, zero where u is prescribed.
+            f: right-hand side, with prescribed values in their rows.
             v: vector of zeros for the result.
         """
         self._operator, self._jump, self._f, self._v = dual.operator, dual.jump, f, v
@@ -310,13 +352,13 @@ class _FollowedDisplacement:
         return self._jump.of_unknowns(self._v)
 
     def improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
-        """Solve K v = f - B'y, with zeros where u is prescribed. Collective."""
-        force = self._f
+        """Solve K v = f - B'y; keep prescribed values, which iterations change. Collective."""
+        force, prescribed = self._f, self._jump.system.prescribed
         if y is not None:
             force = self._jump.contact_force(y)
             force.aypx(-1.0, self._f)
         error = self._operator.solver.improve(force, v, rtol=rtol, accuracy=accuracy)
-        v.array[self._jump.system.prescribed] = 0.0  # iterations change them
+        v.array[prescribed] = self._f.array[prescribed]
         return error
 
     def product(self, y: Array, step: Array, length: float) -> tuple[Array, float, Array]:
@@ -339,3 +381,18 @@ class _FollowedDisplacement:
         change = v.array - self._v.array
         v.destroy()
         return product, float(np.hypot(self._error, before)), change
+
+
+def _none(transpose: bool) -> ConvergenceError:
+    """Return the error to raise if no adjoint (`transpose`) or no tangent exists."""
+    if transpose:
+        return ConvergenceError(
+            "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
+            "slipping) nothing, or hardly anything, holds a body against the motion that the "
+            "number depends on. Ask for another number, or refine for the energy error."
+        )
+    return ConvergenceError(
+        "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
+        "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
+        "cause. Take another direction, or the difference of two solutions."
+    )

@@ -20,9 +20,13 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.data_of_solution import Control, DataOfSolution, inputs_of_problem
+from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
 from dolfinx_tresca.derivatives.goals import WeightedGoals, checked_form_or_goal
-from dolfinx_tresca.derivatives.gradient import as_derivatives, checked_controls, gradient
+from dolfinx_tresca.derivatives.gradient_and_tangent import (
+    as_derivatives,
+    checked_controls,
+    gradient,
+)
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory

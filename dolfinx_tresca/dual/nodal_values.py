@@ -180,53 +180,77 @@ class NodalValues:
         return np.tile(np.asarray(field, dtype=np.float64), (len(nodes), 1))
 
     def pulled_back(
-        self, field: ScalarField, control: Any, nodes: LocalNumbers, weights: Array, name: str
-    ) -> Array:
-        """Return the derivatives of a weighted sum of nodal values by a control. Collective.
+        self,
+        field: ScalarField,
+        control: fem.Function,
+        nodes: LocalNumbers,
+        weights: Array,
+        name: str,
+    ) -> Array | None:
+        """Return the derivatives of a weighted sum of nodal values by a Function. Collective.
 
         Args:
             field: the scalar whose nodal values are differentiated.
-            control: the Constant or scalar Function that changes.
+            control: the scalar Function that changes.
             nodes: nodes of this rank at which the field is taken.
             weights: (n,) weights of the values: derivatives of a goal, from an adjoint solution.
             name: name of the field in error messages.
 
         Returns:
-            the derivatives with respect to the values of the Constant, or to the values of the
-            Function that this rank owns.
+            the derivatives with respect to the Function's degrees of freedom on this rank, without
+            ghosts; None if the field does not depend on the Function.
 
         Raises:
             InputError: the control is a Function with components, or on another mesh; or a Python
                 function reads it.
         """
-        if isinstance(control, fem.Constant):
-            units = np.eye(control.value.size)
-            slopes = [self._slopes(field, control, unit, nodes, name) for unit in units]
-            sums = [0.0 if rates is None else float(weights @ rates) for rates in slopes]
-            return np.asarray(reduce_array(self._V.mesh.comm, np.array(sums)))
-        rates = self._slopes(field, control, np.ones(len(control.x.array)), nodes, name)
-        if rates is None:
-            return np.zeros(control.x.index_map.size_local * control.x.block_size)
+        slopes = self._slopes(field, control, None, nodes, name)
+        if slopes is None:
+            return None
         _, position = self._scalar_field
         matrix = self._interpolation_from(control.function_space)
         of_control, of_field = matrix.createVecs()
-        np.add.at(of_field.array, position[nodes], weights * rates)
+        np.add.at(of_field.array, position[nodes], weights * slopes)
         matrix.multTranspose(of_field, of_control)
-        return np.array(of_control.array)
+        result = np.array(of_control.array)
+        return result
+
+    def pushed_forward(
+        self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
+    ) -> Array | None:
+        """Return the derivative (n,) of nodal values for a given change of a control. Collective.
+
+        Args:
+            field: the scalar whose nodal values are differentiated.
+            control: the Constant or scalar Function that changes.
+            direction: change of the control: values for a Constant, a Function for a Function.
+            nodes: nodes of this rank at which the field is taken.
+            name: name of the field in error messages.
+
+        Returns:
+            the derivative; None if the field does not depend on the control.
+
+        Raises:
+            InputError: see `pulled_back`.
+        """
+        slopes = self._slopes(field, control, direction, nodes, name)
+        if slopes is not None and isinstance(control, fem.Function):
+            slopes = slopes * self.scalars_at(direction, nodes, name)
+        return slopes
 
     def _slopes(
-        self, field: ScalarField, control: Any, along: Array, nodes: LocalNumbers, name: str
+        self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
     ) -> Array | None:
         """Return derivatives (n,) of a scalar with respect to a control. Collective.
 
-        They are derivatives along a direction of a Constant's values, and by the nodal values of a
-        Function, whose direction is constant. The result is None if the scalar does not depend on
-        the control.
+        They are derivatives along the direction of a Constant, and by the nodal values of a
+        Function. The result is None if the scalar does not depend on the control.
 
         Raises:
             InputError: see `pulled_back`.
         """
         is_constant = isinstance(control, fem.Constant)
+        along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if callable(field) and not isinstance(field, Expr):

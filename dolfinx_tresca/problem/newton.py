@@ -140,14 +140,26 @@ class NewtonRecord:
         fraction: part of the change of load to which the solution belongs: 1, or less after a
             failure.
         message: the failure, and advice; empty after a success.
+        released: energy that is neither stored nor dissipated by friction between the displacement
+            from which the solve started and the solution [energy]: the work of loads, prescribed
+            values and obstacles, minus the change of the stored energy, minus `dissipation`. Where
+            bodies snap, it becomes motion and heat; in smooth steps it is small, of third order in
+            the size of the step. NaN if it cannot be computed, or after a failure.
+        snaps: whether most of the energy that the bodies exchange in this step is released: they
+            jump to another equilibrium, or the step is too large to follow them.
         unbalanced: after a failure the forces R(u) + B'lambda [force] that are out of balance in
             its last Newton step, zero where prescribed; else None.
+        flips: after a failure the number of Newton steps in which contact at each node began or
+            ended, for the last part of the load that was tried; else None.
     """
 
     steps: tuple[NewtonStep, ...]
     fraction: float
     message: str
+    released: float = math.nan
+    snaps: bool = False
     unbalanced: fem.Function | None = None
+    flips: fem.Function | None = None
 
     @property
     def residual(self) -> float:
@@ -189,6 +201,7 @@ class Newton:
         stopped: whether the observer stopped the solve.
         stuck: whether no step is possible from the present displacement, with any part of the load.
         unbalanced: forces out of balance after a failure (`NewtonRecord.unbalanced`); else None.
+        flips: changes of contact before a failure (`NewtonRecord.flips`); else None.
     """
 
     problem: TangentProblem
@@ -205,6 +218,7 @@ class Newton:
     stopped: bool = False
     stuck: bool = False
     unbalanced: fem.Function | None = None
+    flips: fem.Function | None = None
     _iteration: Iteration | None = None  # the last observed iteration
     _sliding: FiniteSliding | None = None  # of the present part of the load
     _unstable: bool = False  # whether a step of this part took a slow entry of `ADDED`
@@ -235,13 +249,14 @@ class Newton:
             except PairingError as error:
                 self.failure = f"{fraction:.4g} of the load: {str(error).rstrip('.')}"
             if not self.failure:
-                self.fraction, self.unbalanced = fraction, None
+                self.fraction, self.unbalanced, self.flips = fraction, None, None
                 step *= 2.0
                 if self._iteration is not None and self.fraction == 1.0:
                     self._observe(replace(self._iteration, newton=self._progress(ended=True)))
                 continue
             log(problem.comm, "Newton's method: %s", self.failure)
             self.unbalanced = problem.unbalanced_forces()
+            self.flips = problem.function_at_nodes("flips", self._flips)
             problem.surfaces.return_to(state)
             step *= 0.5
             if self.stopped or self.stuck or step < 0.5**self.options.max_halvings:
@@ -252,7 +267,7 @@ class Newton:
         """Return a text for the message after a failure: what the steps show. Collective."""
         if self.stopped or self.stuck:
             return ""
-        text = ". `newton.unbalanced` of the solution shows where it fails"
+        text = ". `newton.unbalanced` and `newton.flips` of the solution show where it fails"
         # in three Newton steps or more
         (nodes,) = reduce_array(self.problem.comm, [int((self._flips > 2.0).sum())])
         if nodes:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 import ufl
 from dolfinx import fem
 
@@ -59,7 +61,10 @@ class NonlinearContactSolution(ContactSolution):
         steps = self.newton.steps
         newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
-        return [rows[0], ("Newton", newton), *rows[1:]]
+        result = [rows[0], ("Newton", newton), *rows[1:]]
+        if self.newton.snaps:
+            result.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))
+        return result
 
 
 def _check_options(options: Any, newton: Any) -> None:
@@ -347,6 +352,18 @@ class NonlinearContactProblem(ContactProcess):
             self._contact.end_load()
         state = self._contact.surfaces.state
         self._contact.surfaces.state = replace(state, end=state.unknowns)
+        released, snaps = np.nan, False
+        if run.solution is not None and run.fraction == 1.0:
+            released, snaps = self._contact.balance.released(run.start, run.solution.dissipation)
+        if snaps:
+            log(
+                self._contact.comm,
+                "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
+                "stored nor dissipated by friction. A quasi-static solution does not tell the path "
+                "to this equilibrium",
+                *(self._solves, released),
+                level=logging.WARNING,
+            )
         if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
             log(
                 self._contact.comm,
@@ -376,6 +393,8 @@ class NonlinearContactProblem(ContactProcess):
                 "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
                 "are squeezed flat need another mesh."
             )
-        record = NewtonRecord(tuple(run.steps), run.fraction, message, run.unbalanced)
+        record = NewtonRecord(
+            tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
+        )
         values = vars(solution) | run.cost | {"status": status, "newton": record}
         return self._contact.checked(NonlinearContactSolution(**values), linear=False)

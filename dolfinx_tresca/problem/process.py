@@ -20,9 +20,16 @@ from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.state_file import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.data_of_solution import DataOfSolution
+from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
 from dolfinx_tresca.derivatives.goals import checked_form_or_goal, value_of
-from dolfinx_tresca.derivatives.gradient import as_derivatives, checked_controls, gradient
+from dolfinx_tresca.derivatives.gradient_and_tangent import (
+    ContactTangent,
+    as_derivatives,
+    checked_controls,
+    checked_directions,
+    gradient,
+    tangent_of,
+)
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.dual.slip_history import SlipHistory
@@ -381,19 +388,77 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         controls = checked_controls(controls)
+        data = self._data_of_solution()
+        goals = [(1.0, self._goal_at(goal, data.u))]
+        return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
+
+    @collective(comm_of_self)
+    def tangent(
+        self,
+        controls: Sequence[fem.Constant | fem.Function],
+        directions: Sequence[Any],
+    ) -> ContactTangent:
+        """Return the derivative of the last solution in a direction of controls. Collective.
+
+        This is the forward derivative: the first-order change of all fields, with each node held in
+        its contact state. One direction costs about ten products with A, and gives the changes of
+        all goals. The backward derivative, `gradient`, gives the changes of one goal in all
+        directions.
+
+        Args:
+            controls: see `gradient`.
+            directions: for each control its change: for a Constant, values of its shape; for a
+                Function, a Function on its space.
+
+        Returns:
+            the changes of displacement, pressure, traction, slip and gap, and of any goal.
+
+        Raises:
+            ContactError: see `gradient`.
+            InputError: a control or a direction is wrong; see also `gradient`.
+            ConvergenceError: with the contact state kept, nothing holds a body against the change
+                of its loads.
+        """
+        controls = checked_controls(controls)
+        directions = checked_directions(controls, directions)
+        data = self._data_of_solution()
+        return tangent_of(
+            data,
+            self._contact.surfaces.secondary,
+            controls,
+            directions,
+            lambda goal: self._goal_at(goal, data.u),
+        )
+
+    def _goal_at(self, goal: Any, u: fem.Function) -> Goal | ufl.Form:
+        """Return a checked goal in which u replaces the `u` of a nonlinear problem. Not collective.
+
+        Raises:
+            InputError: the goal is wrong.
+        """
+        present = self._contact.surfaces.unknowns
+        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
+        if isinstance(goal, ufl.Form) and present is not None:
+            return ufl.replace(goal, {present: u})
+        return goal
+
+    def _data_of_solution(self) -> DataOfSolution:
+        """Return the data of the last solution, to differentiate them. Collective.
+
+        The number of nodes at the edge of their state is logged.
+
+        Raises:
+            ContactError: see `gradient`.
+            InputError: see `gradient`.
+        """
         self._check_pairing_fixed()
         self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
-        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
         contact = LinearisedContact.of_last_solve(self._contact)
         contact.log_edge()
         data = DataOfSolution(self._contact, self._forms_at(contact.u), contact.u)
         data.linearise(contact)
-        present = self._contact.surfaces.unknowns  # of nonlinear bodies
-        if isinstance(goal, ufl.Form) and present is not None:
-            goal = ufl.replace(goal, {present: contact.u})
-        derivatives, _ = gradient(data, [(1.0, goal)], controls)
-        return as_derivatives(derivatives, controls, self.comm)
+        return data
 
     @collective(comm_of_self)
     def reaction(self, where: Any, point: npt.ArrayLike | None = None) -> Resultant:

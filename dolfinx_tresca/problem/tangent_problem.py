@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.compat import collapse
 from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.tolerances import ROUGH
@@ -28,6 +29,13 @@ from dolfinx_tresca.status import ContactStatus
 #: Nodes touch if their gap is at most this fraction of the largest component of the jumps B u.
 TOUCHING = 1e-6
 
+#: Bodies have snapped if they release more than the first part of the energy that they exchange
+#: with contact or store, whichever is larger, and move more than the second number times as far as
+#: obstacles and prescribed values. (A step in which contact of round bodies begins seems to release
+#: 0.2, since its force is no linear function of the motion; one in which an edge passes from node
+#: to node up to 0.6, which the next step takes back.)
+SNAP, FAR = 0.5, 3.0
+
 
 class TangentProblem(ContactSystem):
     """The contact problem of a Newton step; its unknown is the total displacement, not a change.
@@ -36,7 +44,10 @@ class TangentProblem(ContactSystem):
         u: the present displacement u_k, or all unknowns of a mixed space, at which the tangent is
             taken.
         tangent: the linear system of a step.
+        balance: the balance of energy of the present solve.
     """
+
+    balance: EnergyBalance
 
     def __init__(
         self,
@@ -243,6 +254,7 @@ class TangentProblem(ContactSystem):
                     "u, which the solve starts from, has values that are NaN or infinite."
                 )
         before = self.surfaces.state.motions
+        self.balance = EnergyBalance(self)
         self.surfaces.begin_solve()
         accepted = self.surfaces.state.accepted
         u = accepted.displacement
@@ -351,6 +363,15 @@ class TangentProblem(ContactSystem):
         forces = with_owned_values(self.tangent.space, residual)
         return self.tangent.displacement(forces, "unbalanced")
 
+    def function_at_nodes(self, name: str, values: Array) -> fem.Function:
+        """Return a function with values (owned nodes,) at the nodes of the displacement.
+
+        Collective.
+        """
+        space, dofs = collapse(self.tangent.V.sub(0))
+        owned = dofs[: space.dofmap.index_map.size_local]
+        return with_owned_values(space, values[owned // self.tangent.V.dofmap.bs], name)
+
     def energy_norm(self, values: Array) -> float:
         """Return |v|_K for the values of v on this rank, with ghosts. Collective.
 
@@ -370,3 +391,85 @@ class TangentProblem(ContactSystem):
         forces = self._mixed_norm.createVecLeft()
         self._mixed_norm.mult(u.x.petsc_vec, forces)
         return math.sqrt(max(float(u.x.petsc_vec.dot(forces)), 0.0))
+
+
+class EnergyBalance:
+    """Work, stored energy and friction between the start of a solve and its solution.
+
+    The work of loads, prescribed values and obstacles is that of forces which change linearly with
+    the motion (the trapezoidal rule), as they do in small steps of a quasi-static process. The
+    change of the stored energy is the integral of the internal forces R over the straight path from
+    u_0 to u_1. The energy that remains is
+
+        1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
+
+    with the contact forces C = B'lambda, the displacement v of the obstacles at the nodes, and the
+    dissipation D of friction. Forces at prescribed degrees of freedom and loads that have changed
+    are included. In a smooth step each of the differences vanishes, to third order in the step.
+    """
+
+    def __init__(self, problem: TangentProblem) -> None:
+        """Note displacement and contact forces at the end of the last solve. Collective.
+
+        Args:
+            problem: the problem before its surfaces are paired for the next solve.
+        """
+        state = problem.surfaces.state
+        self._problem = problem
+        self._motions = state.motions, problem.surfaces.obstacles.motions
+        self._start = problem.u.x.array.copy()
+        known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
+        self._ends = known_ends or [np.zeros_like(self._start)]
+        self._forces_at_start, self._work_at_start, _ = self._contact()
+
+    def _contact(self) -> tuple[Array, float, float]:
+        """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
+        surfaces = self._problem.surfaces
+        multipliers = surfaces.state.multipliers
+        jumps, largest = surfaces.obstacle_jumps(*self._motions)
+        forces = np.array(surfaces.jump.whole_force(multipliers).array)
+        return forces, float(multipliers @ jumps), largest
+
+    def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
+        """Return the released energy at the present displacement, and whether bodies snap.
+
+        The energy is NaN if the solve did not start where the last one ended, or if internal forces
+        cannot be computed on the straight path. If a function of the user computes them, it is
+        called only where bodies move `FAR`, and the energy is NaN elsewhere. Collective.
+
+        Args:
+            start: values of u at which the solve started.
+            dissipation: D [energy].
+
+        Raises:
+            Exception: an error of the user's functions, on all ranks.
+        """
+        problem, tangent = self._problem, self._problem.tangent
+        forces, work, driven = self._contact()
+        change = problem.u.x.array - self._start
+        owned, moves = change[: len(forces)], tangent.moves
+        sizes = [np.abs(owned[rows]).max(initial=0.0) for rows in (moves, tangent.prescribed)]
+        starts_there = np.array_equal(start, self._start)
+        starts_there &= any(np.array_equal(start, end) for end in self._ends)
+        moved, held, driven, elsewhere = reduce_array(
+            problem.comm, [*sizes, driven, float(not starts_there)], MPI.MAX
+        )
+        is_far = moved > FAR * max(held, driven)
+        if elsewhere or (tangent.has_material and not is_far):
+            return np.nan, False
+        powers = []
+        inner = 0.5 * np.sqrt(0.2)  # Lobatto's rule is exact for polynomials of degree 5
+        try:
+            for fraction in (0.0, 1.0, 0.5 - inner, 0.5 + inner):
+                with problem.at_unknowns(problem.u.x.array - fraction * change):
+                    powers.append(float(tangent.all_forces() @ owned))
+        except StiffnessError:
+            return np.nan, False
+        at_ends = 0.5 * sum(powers[:2])
+        stored = (sum(powers[:2]) + 5.0 * sum(powers[2:])) / 12.0
+        contact = 0.5 * float((self._forces_at_start + forces) @ owned)
+        local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
+        at_ends, stored, contact, work = reduce_array(problem.comm, local)
+        released = at_ends - stored + contact - work - dissipation
+        is_large = released > SNAP * max(abs(stored), abs(contact))
+        return released, bool(is_large and is_far)

@@ -186,7 +186,11 @@ class TangentSystem(LinearSystem):
             self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     def internal_forces(self) -> Array:
-        """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective.
+        """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective."""
+        return np.where(self.prescribed, 0.0, self.all_forces())
+
+    def all_forces(self) -> Array:
+        """Return R(u_k) [force] at all owned degrees of freedom. Collective.
 
         Nothing is assembled at the u of the last call: a step begins where the one before ended.
         """
@@ -196,9 +200,8 @@ class TangentSystem(LinearSystem):
             self.update_material()
             forces = fem.Function(self.space)
             self._assemble_L(forces.x)
-            owned = forces.x.array[: len(self.prescribed)]
-            self._forces = u.copy(), np.where(self.prescribed, 0.0, owned)
-        return self._forces[1]
+            self._forces = u.copy(), np.array(forces.x.array[: len(self.prescribed)])
+        return self._forces[1].copy()
 
     def prescribed_values(self) -> Array:
         """Return the prescribed values of the present `fraction`. Collective."""

@@ -118,8 +118,12 @@ def test_python_functions_that_read_functions(comm):
         pair = dataclasses.replace(scene.pairs[0], primary=primary, friction=friction)
         with ContactProblem(scene.a, scene.L, [pair], scene.bcs) as problem:
             problem.solve()
-            with pytest.raises(InputError, match=f"{name}.* is a Python function that reads"):
-                problem.gradient(NormalForce(), [height])
+            for differentiate in (
+                lambda: problem.gradient(NormalForce(), [height]),
+                lambda: problem.tangent([height], [height]),
+            ):
+                with pytest.raises(InputError, match=f"{name}.* is a Python function that reads"):
+                    differentiate()
 
 
 def test_wrong_arguments(comm):
@@ -173,6 +177,8 @@ def test_the_axes_of_an_ellipse_are_no_controls(comm):
         for control in (grooves, bound):
             with pytest.raises(InputError, match="part of the direction or the two bounds of"):
                 problem.gradient(NormalForce(), [control])
+            with pytest.raises(InputError, match="part of the direction or the two bounds of"):
+                problem.tangent([control], [control.value])
 
 
 def test_nodes_at_the_edge_of_contact(comm, caplog):
@@ -226,6 +232,23 @@ def test_a_node_at_the_edge_of_stick(comm):
         derivative = problem.gradient(goal, [push])[0][0]
         assert min(abs(derivative - side) for side in (less, more)) <= ACCURACY * abs(less)
         assert abs(more - less) > 0.01 * abs(less)
+
+
+def test_wrong_directions(comm):
+    """Each error says what a direction must be."""
+    model = Rubbing(comm, "triangle")
+    with ContactProblem(*model.arguments) as problem:
+        with pytest.raises(ContactError, match=r"no solution for a derivative: call solve\(\)"):
+            problem.tangent([model.young], [1.0])
+        problem.solve()
+        for controls, directions, message in (
+            ([model.young], [], "one for each control, found 0 for 1"),
+            ([model.load], [1.0], r"must have its shape \(2,\), found 1"),
+            ([model.profile], [1.0], "must be a Function on its space, found 1"),
+            ([model.young], [np.nan], "is NaN or infinite"),
+        ):
+            with pytest.raises(InputError, match=message):
+                problem.tangent(controls, directions)
 
 
 def test_places_of_obstacles_that_are_refused(comm):

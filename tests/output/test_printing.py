@@ -241,6 +241,8 @@ def test_repr_of_everything_public_is_short(comm):
             ProgressBar(comm),
             SolutionWriter("results/steps.pvd"),
             UNITS,
+            tangent := problem.tangent([scene.data.load], [(0.0, 0.0, 1.0)]),
+            *tangent.surfaces,
             contacts(bricks, friction=Coulomb(0.3)),
             GuaranteedError(1 / 3, 1 / 3, solution.u, *[1 / 3] * 5),
             GuaranteedGoal(1 / 3, 2 / 3, 1 / 2),
