@@ -175,20 +175,15 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     if isinstance(a, PETSc.Mat):
         _check_matrix(a, V)
     mesh = V.mesh
-    if mesh.geometry.x.dtype != np.float64:
-        raise InputError(
-            f"contact needs a mesh of type float64, found {mesh.geometry.x.dtype}: leave "
-            "dtype=... away where the mesh is made."
-        )
-    for name, form in (("a", a), ("L", L)):
-        if not isinstance(form, ufl.Form):
-            continue
-        for operand in (*form.coefficients(), *form.constants()):
-            if operand.dtype != np.float64:
-                raise InputError(
-                    f"the form {name} must depend on numbers of type float64 only, found "
-                    f"{np.dtype(operand.dtype)} in {operand!s}."
-                )
+    types = {"the mesh": mesh.geometry.x.dtype}
+    for form in ufl_forms:
+        types |= {str(field): field.dtype for field in (*form.coefficients(), *form.constants())}
+    for name, dtype in types.items():
+        if dtype != np.float64:
+            raise InputError(
+                f"contact needs a mesh, and forms of numbers, of type float64, found "
+                f"{np.dtype(dtype)} in {name}: leave dtype=... away where it is made."
+            )
     dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
     if mesh.topology.dim != dim or cell not in CELLS:
         raise InputError(
