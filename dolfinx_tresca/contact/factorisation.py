@@ -15,12 +15,7 @@ from dolfinx_tresca.floating.rigid_modes import RigidBodyModes, weakly_resisted_
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import (
-    StiffnessMethod,
-    check_choice,
-    choose,
-    solver_for,
-)
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, cholesky, choose, multigrid
 from dolfinx_tresca.stiffness.solver import check_options
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -63,7 +58,6 @@ class Factorisation:
         self._modes: RigidBodyModes | None = None
         check_options(self._petsc_options, self._prefix)
         is_saddle, dim = linear.component is not None, linear.V.dofmap.index_map_bs
-        check_choice(stiffness, expected_solves, saddle=is_saddle)
         if linear.comm.rank == 0:
             warn_of_slow_blas()
         check_tags(pairs, linear.V.mesh)
@@ -73,7 +67,7 @@ class Factorisation:
             stiffness,
             dim * self.bodies.mean_nodes,
             dim,
-            int(expected_solves),
+            expected_solves,
             linear.comm,
             saddle=is_saddle,
         )
@@ -105,7 +99,11 @@ class Factorisation:
         springs = fixing_springs(self._modes, linear)
         with timed(self.method, timings):
             K = springs.added_to(linear.K) if springs else linear.K
-            solver = solver_for(self.method, K, linear, self._petsc_options, self._prefix)
+            given = self._petsc_options, self._prefix
+            if self.method == "cholesky":
+                solver = cholesky(K, *given, linear.saddle_size)
+            else:
+                solver = multigrid(K, linear.V, linear.prescribed, *given)
             # for a saddle point, this factors another matrix
             return ContactCompliance(jump, solver, springs)
 

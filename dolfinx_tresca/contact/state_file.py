@@ -236,12 +236,13 @@ class SavedState:
             with_owned_values(self._system.V, self._nodes[name]) if name in self._nodes else None
             for name in names
         )
-        unknowns, component = present.unknowns, self._system.component
+        unknowns = present.unknowns
         if self._unknowns:
-            w, *remaining = self._unknowns
-            if component is not None:
-                u, w = w, fem.Function(self._system.space)
-                component.compose(w, u, remaining)
+            w = self._unknowns[0]
+            if self._system.component is not None:
+                w = fem.Function(self._system.space)
+                for i, values in enumerate(self._unknowns):
+                    w.sub(i).interpolate(values)
             unknowns = w.x.array.copy()
         state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
         return state.after_step(
@@ -250,7 +251,7 @@ class SavedState:
 
 
 def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
-    """Return the displacement of nonlinear bodies and the other parts of a mixed space. Collective.
+    """Return the displacement of nonlinear bodies, or all parts of a mixed space. Collective.
 
     There are none for linear bodies, whose next solve finds the displacement.
     """
@@ -259,8 +260,9 @@ def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
     system = state.jump.system
     w = fem.Function(system.space)
     w.x.array[:] = state.unknowns
-    remaining = [] if system.component is None else system.component.other_parts(w)
-    return [system.displacement(w, "u"), *remaining]
+    if system.component is None:
+        return [w]
+    return [w.sub(i).collapse() for i in range(w.function_space.num_sub_spaces)]
 
 
 def _read(path: Path) -> dict[str, npt.NDArray[Any]]:

@@ -240,7 +240,7 @@ class DataOfSolution:
     def __init__(
         self, system: ContactSystem, forms: Forms, u: fem.Function, *, in_all_steps: bool = False
     ) -> None:
-        """Keep what data depend on. Not collective.
+        """Keep what data depend on. Collective.
 
         Args:
             system: the problem.
@@ -254,6 +254,9 @@ class DataOfSolution:
         self._z = fem.Function(u.function_space, name="adjoint")
         self._residual = forms.residual(ufl.TestFunction(u.function_space))
         self._work = forms.residual(self._z)
+        test, trial = forms.tangent.arguments()
+        transposed = {test: self._z, trial: ufl.TestFunction(u.function_space)}
+        self._reaction = forms.compiled(ufl.replace(forms.tangent, transposed))
         self._compiled: dict[Any, Any] = {}
 
     def check_controls(self, controls: Sequence[Control]) -> None:
@@ -392,13 +395,7 @@ class DataOfSolution:
     def reaction_of(self, z: fem.Function) -> Array:
         """Return K'z (owned,) for a displacement z. Collective."""
         self._z.x.array[:] = z.x.array
-        if "reaction" not in self._compiled:
-            test, trial = self._forms.tangent.arguments()
-            moved = {test: self._z, trial: ufl.TestFunction(z.function_space)}
-            self._compiled["reaction"] = self._forms.compiled(
-                ufl.replace(self._forms.tangent, moved)
-            )
-        return _owned_entries(self._compiled["reaction"])
+        return _owned_entries(self._reaction)
 
     def _prescribed_by(self, control: Control, values: Array) -> Array:
         """Return the values that Dirichlet conditions take from a control. Not collective.

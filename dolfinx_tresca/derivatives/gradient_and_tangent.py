@@ -89,36 +89,55 @@ def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any
     return result
 
 
-def derivatives_by_data(
+def gradient(
     data: DataOfSolution,
     goals: WeightedGoals,
-    on_jump: Array,
+    controls: Sequence[Control],
+    on_origin: Array | None = None,
     on_displacement: Array | None = None,
-) -> DataVector:
-    """Return the derivatives of a sum of goals with respect to the data. Collective.
+) -> tuple[list[Array], Array]:
+    """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
 
-    The sum may contain further terms, of which only the derivatives `on_jump` and `on_displacement`
-    are given. With the derivatives q_u and q_x of the sum with respect to u and to the multipliers,
-    the derivatives with respect to the prescribed values are q_u - B'y - K z, and those with
-    respect to the radii of slipping nodes are t'(q_x - B z), with the directions t of the
-    tractions.
+    The sum may contain further terms, of which only the derivatives `on_origin` and
+    `on_displacement` are given. With the derivatives q_u and q_x of the sum with respect to u and
+    to the multipliers, the derivatives with respect to the prescribed values are q_u - B'y - K z,
+    and those with respect to the radii of slipping nodes are t'(q_x - B z), with the directions t
+    of the tractions.
+
+    The derivative with respect to the slip origin s is y, like the derivative with respect to the
+    gap. A node that stuck in the previous load step keeps the s of this previous step; for any
+    other node s is its tangential jump T u in the previous step. So y carries the derivatives of a
+    step's goals back to the previous step.
 
     Args:
         data: the data of the solution.
         goals: pairs of a factor and a goal; a goal may be a form of rank 0 that depends on u.
-        on_jump: (size,) derivatives of further terms with respect to B u.
+        controls: the Constants and Functions.
+        on_origin: (size,) derivatives of further terms with respect to the slip origin of the next
+            step; None: zeros.
         on_displacement: derivatives of further terms with respect to the values of u that this rank
             owns; None: zeros.
 
+    Returns:
+        for each control the derivatives with respect to its values (for a Function, those that this
+        rank owns); and (size,) the derivatives with respect to the slip origin of this step.
+
     Raises:
-        InputError: the patch of a goal has no node, or a form does not depend on u.
+        InputError: the patch of a goal has no node, or a form does not depend on u; or the
+            derivative with respect to a control is not known.
         ConvergenceError: the adjoint has no solution.
     """
+    data.check_controls(controls)
     contact, jump, u = data.contact, data.contact.dual.jump, data.contact.u
-    owned = owned_size(u)
-    on_jump, on_x, on_u = on_jump.copy(), np.zeros_like(on_jump), np.zeros(owned)
+    discs, sticks, inner = contact.face.discs, contact.face.stick, contact.dual.inner
+    sticking, moving = np.zeros((2, discs.size), dtype=np.bool_)
+    sticking[discs.tangential] = sticks[discs.node]
+    moving[discs.tangential] = ~sticks[discs.node]
+    on_origin = np.zeros(discs.size) if on_origin is None else on_origin
+    by_next_step = np.where(moving, on_origin, 0.0)
+    on_jump, on_x, on_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
     if on_displacement is not None:
-        on_u += on_displacement[:owned]
+        on_u += on_displacement[: len(on_u)]
     for weight, goal in goals:
         if not isinstance(goal, ufl.Form):
             by_jump, by_x = weights_of(goal, jump, contact.multipliers)
@@ -131,55 +150,11 @@ def derivatives_by_data(
                 "the goal is a form that does not depend on the displacement of its solution: "
                 "write it in terms of solution.u."
             )
-    free = np.where(jump.system.prescribed, 0.0, on_u)
-    z, y = contact.adjoint(on_jump, on_x, free)
+    z, y = contact.adjoint(on_jump, on_x, np.where(jump.system.prescribed, 0.0, on_u))
     on_u += jump.whole_force(on_jump - y).array - data.reaction_of(z)
-    radius = contact.face.radial_parts(on_x - jump.of_displacement(z))
-    return DataVector(z.x.array[:owned], on_u, y, radius)
-
-
-def gradient(
-    data: DataOfSolution,
-    goals: WeightedGoals,
-    controls: Sequence[Control],
-    on_origin: Array | None = None,
-    on_displacement: Array | None = None,
-) -> tuple[list[Array], Array]:
-    """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
-
-    The derivative with respect to the slip origin s is y, like the derivative with respect to the
-    gap. A node that stuck in the previous load step keeps the s of this previous step; for any
-    other node s is its tangential jump T u in the previous step. So y carries the derivatives of a
-    step's goals back to the previous step.
-
-    Args:
-        data: the data of the solution.
-        goals: see `derivatives_by_data`.
-        controls: the Constants and Functions.
-        on_origin: (size,) derivatives of further terms with respect to the slip origin of the next
-            step; None: zeros.
-        on_displacement: see `derivatives_by_data`.
-
-    Returns:
-        for each control the derivatives with respect to its values (for a Function, those that this
-        rank owns); and (size,) the derivatives with respect to the slip origin of this step.
-
-    Raises:
-        InputError: the patch of a goal has no node, or a form does not depend on u; or the
-            derivative with respect to a control is not known.
-        ConvergenceError: the adjoint has no solution.
-    """
-    data.check_controls(controls)
-    discs, sticks = data.contact.face.discs, data.contact.face.stick
-    sticking, moving = np.zeros((2, discs.size), dtype=np.bool_)
-    sticking[discs.tangential] = sticks[discs.node]
-    moving[discs.tangential] = ~sticks[discs.node]
-    if on_origin is None:
-        on_origin = np.zeros(discs.size)
-    on_jump = np.where(moving, on_origin, 0.0)
-    derivatives = derivatives_by_data(data, goals, on_jump, on_displacement)
-    y = derivatives.offset
-    inner, by_controls = data.contact.dual.inner, []
+    on_radius = contact.face.radial_parts(on_x - jump.of_displacement(z))
+    derivatives = DataVector(z.x.array[: len(on_u)], on_u, y, on_radius)
+    by_controls = []
     for control in controls:
         if isinstance(control, fem.Function):
             values = data.pulled_back(control, derivatives)
@@ -196,7 +171,7 @@ def gradient(
             for weight, goal in goals:
                 values[k] += weight * data.explicit_rate(goal, [control], [direction], change)
             for rows in change.moved:  # jumps of this step, from which the next step's slip counts
-                values[k] += float(inner(on_jump, rows.rate(lambda _, jump_of_u: jump_of_u)))
+                values[k] += float(inner(by_next_step, rows.rate(lambda _, jump_of_u: jump_of_u)))
         by_controls.append(values.reshape(control.ufl_shape))
     return by_controls, np.where(sticking, y + on_origin, np.where(moving, y, 0.0))
 

@@ -143,9 +143,7 @@ class LinearisedContact:
                 int(stick),
             )
 
-    def tangent(
-        self, force: Array, offset: Array, radius: Array, accuracy: float | None = None
-    ) -> tuple[fem.Function, Array]:
+    def tangent(self, force: Array, offset: Array, radius: Array) -> tuple[fem.Function, Array]:
         """Return the tangent (du, dx): the change of the solution by given changes of the data.
 
         Here du is a displacement and dx (size,) are multipliers, see the module. Products with A
@@ -156,7 +154,6 @@ class LinearisedContact:
                 prescribed values have the change of these values.
             offset: (size,) change of (d; s), divided by `JumpOperator.length_scale`.
             radius: (n_discs,) change of the radii of the discs.
-            accuracy: relative error of dx in the energy norm; None: `accuracy`.
 
         Raises:
             ConvergenceError: no tangent exists.
@@ -164,7 +161,7 @@ class LinearisedContact:
         grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
         right = self.dual.jump.contact_force(grown).copy()
         right.array = force - right.array
-        du, dx = self._solve(right, offset, accuracy, transpose=False)
+        du, dx = self._solve(right, offset, None, transpose=False)
         return du, dx + grown
 
     def adjoint(
@@ -281,7 +278,8 @@ class LinearisedContact:
         # relative to the size of the data: derivatives of the goal, or changes of the load
         if size > 0.0 and np.linalg.norm(unmet) > 1e-6 * largest:
             raise _none(transpose)
-        displacement.end_at(y, 0.03 * accuracy)  # a small part of the tolerable error of y
+        # a small part of the tolerable error of y
+        displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
             dual.equilibrium.move(y, v.x.petsc_vec, c)
         v.x.petsc_vec.array[prescribed] = force.array[prescribed]
@@ -350,10 +348,10 @@ class _FollowedDisplacement:
         """Return B v (size,) for y = 0: one solve with K, unless f is zero. Collective."""
         if self._f.norm() > 0.0:
             self._operator.products += 1
-            self._error = self._improve(None, self._v, STEP_ACCURACY, 0.0)
+            self._error = self.improve(None, self._v, STEP_ACCURACY, 0.0)
         return self._jump.of_unknowns(self._v)
 
-    def _improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
+    def improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
         """Solve K v = f - B'y; keep prescribed values, which iterations change. Collective."""
         force, prescribed = self._f, self._jump.system.prescribed
         if y is not None:
@@ -378,15 +376,11 @@ class _FollowedDisplacement:
             return *self._operator.product(step), np.zeros(0)
         self._operator.products += 1
         v, before = self._v.copy(), self._error
-        self._error = self._improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
+        self._error = self.improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
         product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(v)
         change = v.array - self._v.array
         v.destroy()
         return product, float(np.hypot(self._error, before)), change
-
-    def end_at(self, y: Array, rtol: float) -> None:
-        """Solve for v at multipliers y (size,) near the present multipliers. Collective."""
-        self._improve(y, self._v, rtol, 0.0)
 
 
 def _none(transpose: bool) -> ConvergenceError:

@@ -22,7 +22,7 @@ from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, St
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
-from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
+from dolfinx_tresca.problem.process import ContactProcess, check_type, problem_to_agree
 from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.result import ContactSolution
@@ -68,13 +68,12 @@ class NonlinearContactSolution(ContactSolution):
 
 
 def _check_options(options: Any, newton: Any) -> None:
-    """Check the types of the options.
+    """Check the options.
 
     Raises:
         InputError: an option has a wrong type, or is not available for nonlinear bodies.
     """
-    if not isinstance(options, SolverOptions):
-        raise InputError(f"options must be SolverOptions(...), found {shown(options)}.")
+    check_type(options)
     if options.balanced:
         raise InputError(
             "accuracy='balanced' asks for an estimate of the mesh's error, which there is for "

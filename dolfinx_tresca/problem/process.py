@@ -56,6 +56,19 @@ def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
     }
 
 
+def check_type(options: Any) -> None:
+    """Check that options are `SolverOptions`. Not collective.
+
+    Raises:
+        InputError: they are not.
+    """
+    if not isinstance(options, SolverOptions):
+        raise InputError(
+            f"options must be SolverOptions(...), found {shown(options)}. Options of the solver "
+            "for K go to petsc_options."
+        )
+
+
 class ContactProcess(PetscOwner, Tabulated):
     """A contact problem with a process, a sequence of load steps: solves, steps, state files.
 
@@ -79,11 +92,7 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             InputError: an argument is wrong.
         """
-        if not isinstance(options, SolverOptions):
-            raise InputError(
-                f"options must be SolverOptions(...), found {shown(options)}. Options of the "
-                "solver for K go to petsc_options."
-            )
+        check_type(options)
         if units is not None and not isinstance(units, Units):
             raise InputError(f'units must be such as Units("mm", "MPa"), found {shown(units)}.')
         self.options, self.units = options, units
@@ -559,11 +568,10 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         residual, tangent = self._residual_and_tangent(u)
 
-        def of_test_function(z: fem.Function) -> Any:
-            return ufl.replace(residual, {residual.arguments()[0]: z})
-
-        linear = self._contact.linear
-        return Forms(of_test_function, tangent, linear.bcs, linear.entity_maps)
+        (test,), linear = residual.arguments(), self._contact.linear
+        return Forms(
+            lambda z: ufl.replace(residual, {test: z}), tangent, linear.bcs, linear.entity_maps
+        )
 
     @abstractmethod
     def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:

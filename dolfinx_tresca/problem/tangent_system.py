@@ -217,8 +217,6 @@ class TangentSystem(LinearSystem):
     @property
     def _remaining_load(self) -> Array:
         """The part h [force] of the change of load that is not applied yet. Not collective."""
-        if self.fraction == 1.0:
-            return np.zeros_like(self._initial_residual)
         return (1.0 - self.fraction) * self._initial_residual
 
     def residual(self, contact_forces: Array) -> Array:
@@ -231,15 +229,11 @@ class TangentSystem(LinearSystem):
 
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
-        free = ~self.prescribed
         values = self.prescribed_values()
-        u = np.array(self.u.x.array[: len(free)])
-        moved = self.forces_of(u[self.prescribed] - values)
-        inside, load = self.K.createVecs()
-        inside.array = np.where(free, u, 0.0)
-        self.K.mult(inside, load)
-        owned = self.f.x.array[: len(free)]
-        owned[:] = load.array + moved.array - self.internal_forces() + self._remaining_load
+        u = np.array(self.u.x.array[: len(self.prescribed)])
+        u[self.prescribed] -= values
+        owned = self.f.x.array[: len(u)]
+        owned[:] = self.product(u).array - self.internal_forces() + self._remaining_load
         if self.added_forces is not None:
             owned += self.added_forces
         owned[self.prescribed] = values

@@ -18,7 +18,6 @@ from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
 from dolfinx_tresca.scene.user_fields import check_word
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
-from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than
 #: the default of 20, as for a column of 300 bodies.
@@ -252,12 +251,26 @@ StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
 
-def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool = False) -> None:
-    """Check the arguments of `choose`. Not collective.
+def choose(
+    method: StiffnessMethod,
+    size: float,
+    dim: int,
+    expected_solves: int,
+    comm: Any,
+    *,
+    saddle: bool = False,
+) -> tuple[ChosenMethod, str]:
+    """Return the name of the solver for K, and the reason for the choice. Not collective.
+
+    The choice is logged if the method is "auto".
 
     Args:
-        method: the requested method; "auto": `choose` decides.
+        method: the requested method.
+        size: number of degrees of freedom of a body, averaged over the degrees of freedom instead
+            of over the bodies, so that large bodies decide.
+        dim: dimension of space.
         expected_solves: expected number of contact solves with the same K.
+        comm: communicator of the log.
         saddle: whether K belongs to a mixed space.
 
     Raises:
@@ -277,67 +290,16 @@ def check_choice(method: StiffnessMethod, expected_solves: int, *, saddle: bool 
             "of the displacement alone, with the volumetric part integrated with a lower "
             "quadrature_degree."
         )
-
-
-def choose(
-    method: StiffnessMethod,
-    size: float,
-    dim: int,
-    expected_solves: int,
-    comm: Any,
-    *,
-    saddle: bool = False,
-) -> tuple[ChosenMethod, str]:
-    """Return the name of the solver for K, and the reason for the choice. Not collective.
-
-    The choice is logged if the method is "auto". The arguments must have passed `check_choice`.
-
-    Args:
-        method: the requested method.
-        size: number of degrees of freedom of a body, averaged over the degrees of freedom instead
-            of over the bodies, so that large bodies decide.
-        dim: dimension of space.
-        expected_solves: expected number of contact solves with the same K.
-        comm: communicator of the log.
-        saddle: whether K belongs to a mixed space.
-    """
     if method != "auto":
         return method, "requested"
-    if saddle:
-        reason = "since multigrid needs a positive definite K"
-        log(comm, "stiffness: cholesky, %s", reason)
-        return "cholesky", reason
     # each further solve adds a half, until factors would take too much memory
-    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (expected_solves + 1), 5.0))
-    chosen: ChosenMethod = "cholesky" if size <= limit else "multigrid"
-    reason = (
-        f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
-        f"(limit for {expected_solves} solve(s) in {dim}D)"
-    )
+    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (solves + 1), 5.0))
+    chosen: ChosenMethod = "cholesky" if saddle or size <= limit else "multigrid"
+    reason = "since multigrid needs a positive definite K"
+    if not saddle:
+        reason = (
+            f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
+            f"(limit for {solves} solve(s) in {dim}D)"
+        )
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason
-
-
-def solver_for(
-    method: ChosenMethod,
-    K: PETSc.Mat,
-    system: LinearSystem,
-    petsc_options: Mapping[str, Any],
-    prefix: str | None,
-) -> StiffnessSolver:
-    """Return the chosen solver. Collective.
-
-    Args:
-        method: name of the solver, see `choose`.
-        K: the system's matrix, with the springs of floating bodies, if there are any.
-        system: the linear system of K.
-        petsc_options: PETSc options in addition to the defaults.
-        prefix: prefix of the user's options in PETSc's database.
-
-    Raises:
-        StiffnessError: K is indefinite.
-    """
-    if method == "cholesky":
-        constraints = 0 if system.component is None else system.saddle_size
-        return cholesky(K, petsc_options, prefix, constraints)
-    return multigrid(K, system.V, system.prescribed, petsc_options, prefix)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -22,7 +21,7 @@ from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.classes import Argument, Grad
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_tresca._base.arrays import LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.compat import (
     EntityMaps,
     collapse,
@@ -176,20 +175,15 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     if isinstance(a, PETSc.Mat):
         _check_matrix(a, V)
     mesh = V.mesh
-    if mesh.geometry.x.dtype != np.float64:
-        raise InputError(
-            f"contact needs a mesh of type float64, found {mesh.geometry.x.dtype}: leave "
-            "dtype=... away where the mesh is made."
-        )
-    for name, form in (("a", a), ("L", L)):
-        if not isinstance(form, ufl.Form):
-            continue
-        for operand in (*form.coefficients(), *form.constants()):
-            if operand.dtype != np.float64:
-                raise InputError(
-                    f"the form {name} must depend on numbers of type float64 only, found "
-                    f"{np.dtype(operand.dtype)} in {operand!s}."
-                )
+    types = {"the mesh": mesh.geometry.x.dtype}
+    for form in ufl_forms:
+        types |= {str(field): field.dtype for field in (*form.coefficients(), *form.constants())}
+    for name, dtype in types.items():
+        if dtype != np.float64:
+            raise InputError(
+                f"contact needs a mesh, and forms of numbers, of type float64, found "
+                f"{np.dtype(dtype)} in {name}: leave dtype=... away where it is made."
+            )
     dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
     if mesh.topology.dim != dim or cell not in CELLS:
         raise InputError(
@@ -272,6 +266,7 @@ class Component:
 
     Attributes:
         V: the collapsed sub-space, on which Functions can be created.
+        dofs: for each degree of freedom of V that of the mixed space, in local numbers.
         mask: (owned degrees of freedom of the mixed space,) whether each is in the component.
     """
 
@@ -282,16 +277,15 @@ class Component:
             space: the mixed space.
             index: index of the sub-space in the mixed space.
         """
-        self._space, self._index = space, index
         self.comm = space.mesh.comm
-        self.V, self._dofs = collapse(space.sub(index))
+        self.V, self.dofs = collapse(space.sub(index))
         self._original = fem.Function(self.V)
         own, whole = self.V.dofmap, space.dofmap.index_map
         flags = fem.Function(space)
-        flags.x.array[self._dofs] = 1.0
+        flags.x.array[self.dofs] = 1.0
         self.mask: Mask = flags.x.array[: whole.size_local] > 0.0
         owned = own.index_map.size_local * own.index_map_bs
-        entries = np.ones(owned), whole.local_to_global(self._dofs[:owned]), np.arange(owned + 1)
+        entries = np.ones(owned), whole.local_to_global(self.dofs[:owned]), np.arange(owned + 1)
         rows = csr_array(entries, shape=(owned, whole.size_global))
         self._parts = sparse_matrix(rows, (whole.size_local, whole.size_global), space.mesh.comm)
 
@@ -305,30 +299,8 @@ class Component:
         The ghost values of w must be up to date.
         """
         component = zero_like(self._original, w.name)
-        component.x.array[:] = w.x.array[self._dofs]
+        component.x.array[:] = w.x.array[self.dofs]
         return component
-
-    @cached_property
-    def _others(self) -> list[tuple[Any, LocalNumbers]]:
-        """The other sub-spaces, each in a numbering of its own. Collective."""
-        number = len(self._space.ufl_element().sub_elements)
-        return [collapse(self._space.sub(i)) for i in range(number) if i != self._index]
-
-    def other_parts(self, w: fem.Function) -> list[fem.Function]:
-        """Return the other components of a Function on the mixed space. Collective."""
-        functions = [fem.Function(Q) for Q, _ in self._others]
-        for function, (_, dofs) in zip(functions, self._others, strict=True):
-            function.x.array[:] = w.x.array[dofs]
-        return functions
-
-    def compose(self, w: fem.Function, u: fem.Function, remaining: Sequence[fem.Function]) -> None:
-        """Set this component of w to u, and its other components to `remaining`. Collective.
-
-        The order of `remaining` is that of `other_parts`.
-        """
-        w.x.array[self._dofs] = u.x.array
-        for component, (_, dofs) in zip(remaining, self._others, strict=True):
-            w.x.array[dofs] = component.x.array
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
         """Convert a matrix B from the columns of V to the columns of the mixed space. Collective.

@@ -186,15 +186,16 @@ class BodyFrames:
 
     def into_space(self, v: Array) -> Array:
         """Return R v for nodal values (nodes * d,) of this rank, with or without ghosts."""
-        vectors = self._vectors(v)
-        turned = np.einsum("nij,nj->ni", self.rotation[self.label[: len(vectors)]], vectors)
-        return self._values(turned)
+        return self._turned("nij,nj->ni", v)
 
     def into_frames(self, values: Array) -> Array:
         """Return R'f for nodal values (nodes * d,) of this rank, with or without ghosts."""
+        return self._turned("nji,nj->ni", values)
+
+    def _turned(self, product: str, values: Array) -> Array:
+        """Return the products of R with nodal values (nodes * d,), as `numpy.einsum` names them."""
         vectors = self._vectors(values)
-        turned = np.einsum("nji,nj->ni", self.rotation[self.label[: len(vectors)]], vectors)
-        return self._values(turned)
+        return self._values(np.einsum(product, self.rotation[self.label[: len(vectors)]], vectors))
 
     def displacement(self, v: fem.Function) -> fem.Function:
         """Return u = u_R + R v [length] of a displacement v in the frames. Not collective."""
@@ -274,12 +275,8 @@ def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:
     largest, force = np.zeros(number), np.zeros(number)
     free = np.repeat(label, dim)[~prescribed]
     np.maximum.at(largest, free, np.abs(diagonal.array[~prescribed]))
-    inside, forces = system.K.createVecs()
     for motion in motions:
         values = (factor[:, None] * motion)[:, :dim].ravel()
-        inside.array = np.where(prescribed, 0.0, values)
-        system.K.mult(inside, forces)
-        caused = system.forces_of(values[prescribed])
-        np.maximum.at(force, free, np.abs(forces.array + caused.array)[~prescribed])
+        np.maximum.at(force, free, np.abs(system.product(values).array)[~prescribed])
     largest, force = reduce_array(comm, np.array([largest, force]), MPI.MAX)
     return np.asarray(force > ASSEMBLY_ROUNDING * largest)

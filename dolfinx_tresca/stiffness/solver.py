@@ -200,7 +200,7 @@ class StiffnessSolver(PetscOwner):
         accuracy.
         """
         Ku = f.duplicate()
-        self._ksp.getOperators()[0].mult(u, Ku)
+        self.matrix.mult(u, Ku)
         square, work = float(u.dot(Ku)), float(u.dot(f))
         Ku.destroy()
         factor = work / square if 0.0 < square < np.inf else 0.0
@@ -228,8 +228,12 @@ class StiffnessSolver(PetscOwner):
                 raise self._failure()
             self._check_exact(f, u)
             return 0.0
-        self.krylov_iterations += self._ksp.getIterationNumber()
-        self._note_eigenvalues()
+        iterations = self._ksp.getIterationNumber()
+        self.krylov_iterations += iterations
+        if self._ksp.getType() == PETSc.KSP.Type.CG and iterations > 1:
+            ritz_value = float(self._ksp.computeEigenvalues().real.min())  # of M^-1 K
+            if ritz_value > 0.0:
+                self._least_eigenvalue = min(self._least_eigenvalue, ritz_value)
         if reason > 0 and self._ksp.getNormType() == PETSc.KSP.NormType.NATURAL:
             return float(self._ksp.getResidualNorm()) * self.uncertainty
         # residuals that are updated from step to step do not contain rounding
@@ -238,12 +242,19 @@ class StiffnessSolver(PetscOwner):
             if not np.isfinite(error):
                 raise self._failure()
             if reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
-                nothing = f.duplicate()
-                whole = self.error(f, nothing)
-                nothing.destroy()
+                whole = self.error(f, f.duplicate())
                 if not error <= ROUGH * whole:  # nearer to the solution, rounding is the cause
                     raise self._failure()
-            self._warn(error)
+            if not self._warned:  # once, since further solves will miss the tolerance, too
+                self._warned = True
+                log(
+                    self.comm,
+                    "the %s solver for K stopped after %d iterations, by PETSc's reason %d, with "
+                    "an error of %.1e in the energy norm, and misses its tolerance; further ones "
+                    "are not reported. Try stiffness='cholesky', or other petsc_options.",
+                    *(self.name, iterations, reason, error),
+                    level=logging.WARNING,
+                )
         return error
 
     def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
@@ -270,20 +281,6 @@ class StiffnessSolver(PetscOwner):
                 'petsc_options={"ksp_type": "cg"} with this preconditioner.'
             )
 
-    def _warn(self, error: float) -> None:
-        """Log that a solve missed its tolerance: only once, since further solves will miss it."""
-        if not self._warned:
-            self._warned = True
-            log(
-                self.comm,
-                "the %s solver for K stopped after %d iterations, by PETSc's reason %d, with an "
-                "error of %.1e in the energy norm, and misses its tolerance; further ones are not "
-                "reported. Try stiffness='cholesky', or other petsc_options.",
-                *(self.name, self._ksp.getIterationNumber()),
-                *(self._ksp.getConvergedReason(), error),
-                level=logging.WARNING,
-            )
-
     @property
     def uncertainty(self) -> float:
         """Ratio by which an error in the energy norm may exceed sqrt(r'M^-1 r).
@@ -303,22 +300,14 @@ class StiffnessSolver(PetscOwner):
         """
         if self.exact:
             return 0.0
-        K, pc = self._ksp.getOperators()[0], self._ksp.getPC()
         residual, corrected = f.duplicate(), f.duplicate()
-        K.mult(u, residual)
+        self.matrix.mult(u, residual)
         residual.aypx(-1.0, f)
-        pc.apply(residual, corrected)
+        self.preconditioner.apply(residual, corrected)
         square = float(residual.dot(corrected))
         residual.destroy()
         corrected.destroy()
         return float(np.sqrt(abs(square))) * self.uncertainty
-
-    def _note_eigenvalues(self) -> None:
-        """Update the smallest Ritz value of M^-1 K so far, with the preconditioner M."""
-        if self._ksp.getType() == PETSc.KSP.Type.CG and self._ksp.getIterationNumber() > 1:
-            values = self._ksp.computeEigenvalues().real
-            if values.min() > 0.0:
-                self._least_eigenvalue = min(self._least_eigenvalue, float(values.min()))
 
     def _failure(self) -> StiffnessError:
         """Return the error to raise after a failed solve."""

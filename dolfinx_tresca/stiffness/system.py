@@ -59,6 +59,7 @@ class LinearSystem(PetscOwner):
         component: the displacement in a mixed space; None if the space is not mixed.
         bcs: the Dirichlet conditions.
         form: the bilinear form; None if it was given compiled or as a matrix.
+        loads: the linear form, as the user has given it.
         K: the `PETSc.Mat`, symmetric.
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) whether each is prescribed.
@@ -109,7 +110,7 @@ class LinearSystem(PetscOwner):
             check_meridian(self.V.mesh)
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
-        self._forms = {"a": a, "L": L}
+        self.loads, self._forms = L, {"a": a, "L": L}
         self.entity_maps = entity_maps
         self._a, self._L = (
             compiled(name, form, self.V.mesh, entity_maps) for name, form in (("a", a), ("L", L))
@@ -159,11 +160,6 @@ class LinearSystem(PetscOwner):
                 "matrix. Give the forms."
             )
         return a, L
-
-    @property
-    def loads(self) -> Any:
-        """The linear form L, as the user has given it."""
-        return self._forms["L"]
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the forms and conditions, which the ranks compare. Not collective."""
@@ -238,16 +234,13 @@ class LinearSystem(PetscOwner):
         prescribed = (start + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
         columns = PETSc.IS().createGeneral(prescribed, comm=self.K.comm)
         self._columns = self.K.createSubMatrix(rows, columns)
-        if self._is_matrix:
-            self._coupled = self._couples_prescribed()
+        if self._is_matrix:  # are there entries off the diagonal?
+            starts, _, values = self._columns.getValuesCSR()
+            rows_of_values = np.repeat(np.arange(len(self.prescribed)), np.diff(starts))
+            entries = np.bincount(rows_of_values[values != 0.0], minlength=len(self.prescribed))
+            coupled = bool((entries > self.prescribed).any())
+            self._coupled = self.comm.allreduce(coupled, op=MPI.LOR)
         self.K.zeroRowsColumns(columns, 1.0)
-
-    def _couples_prescribed(self) -> bool:
-        """Return whether prescribed columns have nonzero entries off the diagonal. Collective."""
-        starts, _, values = self._columns.getValuesCSR()
-        rows = np.repeat(np.arange(len(self.prescribed)), np.diff(starts))
-        entries = np.bincount(rows[values != 0.0], minlength=len(self.prescribed))
-        return bool(self.comm.allreduce(bool((entries > self.prescribed).any()), op=MPI.LOR))
 
     def forces_of(self, values: Array) -> PETSc.Vec:
         """Return the forces K u [force] that prescribed values cause. Collective.
@@ -260,6 +253,21 @@ class LinearSystem(PetscOwner):
         self._columns.mult(given, forces)
         return forces
 
+    def product(self, u: Array) -> PETSc.Vec:
+        """Return K u [force] at free degrees of freedom, with prescribed values in u. Collective.
+
+        Where u is prescribed, the result has the forces of prescribed values alone. The caller owns
+        the vector.
+
+        Args:
+            u: (owned degrees of freedom,) values of u.
+        """
+        inside, result = self.K.createVecs()
+        inside.array = np.where(self.prescribed, 0.0, u)
+        self.K.mult(inside, result)
+        result.axpy(1.0, self.forces_of(u[self.prescribed]))
+        return result
+
     def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
 
@@ -270,10 +278,7 @@ class LinearSystem(PetscOwner):
         Returns:
             a new vector, owned by the caller.
         """
-        inside, result = self.K.createVecs()
-        inside.array = np.where(self.prescribed, 0.0, u.array)
-        self.K.mult(inside, result)
-        result.axpy(1.0, self.forces_of(u.array[self.prescribed]))
+        result = self.product(u.array)
         result.aypx(-1.0, forces)
         result.array[self.prescribed] = 0.0
         return result
@@ -329,13 +334,10 @@ class LinearSystem(PetscOwner):
         Args:
             u: displacement, with prescribed values.
         """
-        inside, Ku = self.K.createVecs()
-        inside.array = np.where(self.prescribed, 0.0, u.array)
-        self.K.mult(inside, Ku)
-        forces = self.forces_of(u.array[self.prescribed]).array
         # only displacements have nonzero prescribed values
-        work = (inside.array + self.signs * u.array) @ forces
-        work += (self.signs * inside.array) @ Ku.array
+        forces = self.forces_of(u.array[self.prescribed]).array
+        work = np.where(self.prescribed, 0.0, u.array) @ forces
+        work += (self.signs * u.array) @ self.product(u.array).array
         return 0.5 * float(self.comm.allreduce(work))
 
     @contextmanager
@@ -396,10 +398,7 @@ class LinearSystem(PetscOwner):
             StiffnessError: the solve failed.
         """
         before, response = fem.Function(self.space), fem.Function(self.space)
-        if self.component is None:
-            before.x.array[:] = u.x.array
-        else:
-            self.component.compose(before, u, self.component.other_parts(before))
+        before.x.array[slice(None) if self.component is None else self.component.dofs] = u.x.array
         owned = before.x.array[: len(self.prescribed)]
         change = self.prescribed_values() - owned[self.prescribed]
         sizes = [float(np.abs(values).max(initial=0.0)) for values in (change, u.x.array)]

@@ -26,7 +26,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.adapt.solve import checked_limit
-from dolfinx_tresca.stiffness.choice import check_choice
+from dolfinx_tresca.stiffness.choice import choose
 from scenes.blocks import block
 
 REALS = [1, 1.0, Fraction(1), np.array(1.0), np.array(1)]
@@ -77,7 +77,7 @@ WHOLE = {
     "levels": lambda value: checked_limit("max_levels", value),
     "pair": NormalForce,
     "tag": lambda value: _pair(secondary=value, primary=RigidPlane((0, 0), (0, 1))),
-    "solves": lambda value: check_choice("auto", value),
+    "solves": lambda value: choose("auto", 1.0, 3, value, MPI.COMM_SELF),
 }
 
 

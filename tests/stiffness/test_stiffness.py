@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca.stiffness.choice import check_choice, choose
+from dolfinx_tresca.stiffness.choice import choose
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, bricks_problem, two_bricks
@@ -175,10 +175,10 @@ def test_auto_takes_the_factorisation_for_small_models(comm):
     # memory
     assert chosen(10**7, solves=10**6) == "multigrid"
     with pytest.raises(InputError, match=r"auto, cholesky, multigrid.*'lu'"):
-        check_choice("lu", 1)
+        choose("lu", 1.0, 3, 1, comm)
     for wrong in (0, 2.5, "two"):
         with pytest.raises(InputError, match="expected_solves"):
-            check_choice("auto", wrong)
+            choose("auto", 1.0, 3, wrong, comm)
 
 
 @pytest.mark.parallel
