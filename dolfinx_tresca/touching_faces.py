@@ -16,6 +16,7 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective
+from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array
@@ -25,7 +26,6 @@ from dolfinx_tresca.pairing.search.self_contact import FINER
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import TaggedMesh, abridged_names
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.user_fields import checked_positive
 from dolfinx_tresca.table import Row, Tabulated
 
 
@@ -126,7 +126,7 @@ def contacts(
     """
     if not isinstance(tagged, TaggedMesh):
         raise InputError(f"tagged must be the result of read_gmsh, found {shown(tagged)}.")
-    limit = None if distance is None else checked_positive("distance", distance)
+    limit = None if distance is None else checked_number("distance", distance)
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
     faces = _faces(V, facet_tags)

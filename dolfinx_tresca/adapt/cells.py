@@ -5,19 +5,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, integer
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, summed_at_nodes
-from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.geometry import Projection, project_points
-from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.scene.geometry import ExactSurface, project_points
 
 
 @dataclass(frozen=True)
@@ -124,42 +123,11 @@ def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDAr
     return value, tagged
 
 
-#: Name or number of a tag -> projection to the surface that its facets approximate.
-Snap: TypeAlias = Mapping[str | int, Projection]
-
-
-def checked_snap(tagged_mesh: TaggedMesh, snap: Snap | None) -> dict[int, tuple[str, Projection]]:
-    """Check the user's argument `snap`; return tag -> (name, projection). Not collective.
-
-    Raises:
-        InputError: the argument is not a mapping, a key is neither an integer nor the name of a
-            tag, or a projection is not a function.
-    """
-    result: dict[int, tuple[str, Projection]] = {}
-    if snap is not None and not isinstance(snap, Mapping):
-        raise InputError(
-            'snap must be such as {"ball": function}, from a tag of facets to a function of '
-            f"points (3, n), found {shown(snap)}."
-        )
-    for key, projection in (snap or {}).items():
-        tag = tagged_mesh.tags.get(key) if isinstance(key, str) else key
-        number = integer(tag)
-        if number is None:
-            names = ", ".join(tagged_mesh.tags)
-            raise InputError(f"snap has no tag's name: {shown(key)}; the names are {names}.")
-        if not callable(projection):
-            raise InputError(
-                f"snap[{key!r}] must be a function of points (3, n), found {shown(projection)}."
-            )
-        result[number] = str(key), projection
-    return result
-
-
 def snapped(
     cells: BisectedCells,
     facets: Indices,
     tags: npt.NDArray[np.int32],
-    snap: Mapping[int, tuple[str, Projection]],
+    surfaces: Mapping[int, ExactSurface],
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
 
@@ -170,7 +138,7 @@ def snapped(
         cells: the cells.
         facets: (m, d) nodes of tagged facets.
         tags: (m,) tags of the facets.
-        snap: tag -> name, projection.
+        surfaces: tag -> the exact surface of the facets.
 
     Raises:
         InputError: a projection fails, or does not return one finite point for each node; or no
@@ -179,12 +147,12 @@ def snapped(
     mesh = cells.mesh
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
     start = surface = mesh.geometry.x.copy()
-    for tag, (name, projection) in snap.items():
+    for tag, exact in surfaces.items():
         nodes = np.unique(facets[tags == tag])
         if reduce_array(comm, len(nodes)) == 0:
-            raise InputError(f"snap names facets that there are not: none has the tag {name}.")
+            raise InputError(f"the geometry has facets that there are not: none has the tag {tag}.")
         with errors_on_all_ranks(comm):
-            target = project_points(surface[nodes], f"snap[{name!r}]", projection, dim)
+            target = project_points(surface[nodes], f"geometry[{tag}]", exact.project, dim)
         # another rank may know of a node, but of none of its facets
         values = np.column_stack([target, np.ones(len(nodes))])
         sums = summed_at_nodes(index_map, nodes, values)

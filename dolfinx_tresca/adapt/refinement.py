@@ -17,10 +17,12 @@ from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arrays import Array, Mask, real
+from dolfinx_tresca._base.arguments import checked_number
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
-from dolfinx_tresca.adapt.cells import BisectedCells, Snap, checked_snap, snapped
+from dolfinx_tresca.adapt.cells import BisectedCells, snapped
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.geometry import check_geometry, open_geometry
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 
 #: Least squared error of a marked cell, divided by the least that Doerfler's marking needs. The
@@ -35,7 +37,6 @@ def refine(
     tagged_mesh: TaggedMesh,
     cell_errors: fem.Function | Array,
     fraction: float = 0.5,
-    snap: Snap | None = None,
 ) -> TaggedMesh:
     """Return a mesh with smaller cells where errors are large, and the same tags. Collective.
 
@@ -58,17 +59,18 @@ def refine(
             together are refined. With a small part few cells are cut each time, and there are more
             meshes to solve on. With 1 all edges of all cells are bisected, which is uniform
             refinement.
-        snap: curved surfaces, as a mapping from the name or number of a tag of facets to a function
-            from points (3, n) to the nearest points (3, n) on the surface [length]. The nodes of
-            these facets move to the nearest points. New nodes on other facets stay on the old flat
-            facets. None: if `read_gmsh` made the mesh from a `.geo` file, nodes move to all curved
-            surfaces of this file, by projections of Gmsh, which opens the file again on each rank;
-            otherwise no node moves. {}: no node moves.
+
+    Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
+    this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
+    New nodes on other facets stay on the old flat facets. For other curved surfaces, or none::
+
+        surfaces = {tagged_mesh.tags["ball"]: on_ball}  # function from points (3, n) to (3, n)
+        tagged_mesh = dataclasses.replace(tagged_mesh, geometry=surfaces)
 
     Raises:
-        InputError: an argument is wrong, the mesh has cells that cannot be bisected, or see
-            `GmshGeometry.projections`.
-        MeshError: see `GmshGeometry.projections`.
+        InputError: an argument is wrong, the mesh has cells that cannot be bisected, or the
+            geometry does not fit the mesh.
+        MeshError: the file of the geometry does not exist any more, or Gmsh cannot read it.
 
     Example:
         >>> from mpi4py import MPI
@@ -81,9 +83,8 @@ def refine(
         (24, 192)
     """
     check_tagged_mesh(tagged_mesh)
-    check_fraction(fraction)
-    checked_snap(tagged_mesh, snap)
-    return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction), snap)
+    checked_number("fraction", fraction, "(0, 1]")
+    return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction))
 
 
 def bisected(
@@ -104,23 +105,19 @@ def bisected(
     return BisectedCells.from_marked(mesh, marked)
 
 
-def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells, snap: Snap | None) -> TaggedMesh:
+def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
     """Return the mesh of bisected cells, with tags and on curved surfaces. Collective.
 
     Args:
         tagged_mesh: the mesh before.
         cells: the bisected cells of this mesh.
-        snap: see `refine`; it has been checked.
     """
     mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry
-    comm, dim, surfaces = mesh.comm, mesh.topology.dim, checked_snap(tagged_mesh, snap)
+    comm, dim = mesh.comm, mesh.topology.dim
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with ExitStack() as session:
-        if snap is None and geometry is not None and geometry.curved:
-            names = {tag: name for name, tag in tagged_mesh.tags.items()}
-            with errors_on_all_ranks(comm):
-                projections = session.enter_context(geometry.projections())
-            surfaces = {tag: (names[tag], projection) for tag, projection in projections.items()}
+        with errors_on_all_ranks(comm):
+            surfaces = session.enter_context(open_geometry(geometry or {}))
         points = snapped(cells, facets, facet_values, surfaces)
 
     numbers, index_map = cells.numbers, cells.mesh.geometry.index_map()
@@ -138,7 +135,7 @@ def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells, snap: Snap | None
     facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
     if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
         facet_tags.cell_tags = cell_tags
-    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), tagged_mesh.geometry)
+    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), geometry)
 
 
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
@@ -166,25 +163,14 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))
 
 
-def check_fraction(fraction: float) -> None:
-    """Check a part of the squared errors. Not collective.
-
-    Raises:
-        InputError: the part is not in (0, 1].
-    """
-    number = real(fraction)
-    if number is None or not 0.0 < number <= 1.0:
-        raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
-
-
 def check_tagged_mesh(tagged_mesh: Any) -> None:
     """Check that cells can be bisected, and that the tags belong to cells and to facets.
 
     Not collective.
 
     Raises:
-        InputError: the argument is not a mesh with tags, the cells cannot be bisected, or tags are
-            of entities of another dimension.
+        InputError: the argument is not a mesh with tags, the cells cannot be bisected, its geometry
+            is none, or tags are of entities of another dimension.
     """
     if not isinstance(tagged_mesh, TaggedMesh):
         raise InputError(
@@ -205,8 +191,9 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
     if nodes != dim + 1:
         raise InputError(
             f"cells must have straight edges, found {nodes} nodes in each. Mesh with elements of "
-            "order 1, and give the curved surfaces as snap={tag: function}."
+            "order 1, and give the curved surfaces as TaggedMesh.geometry={tag: function}."
         )
+    check_geometry(tagged_mesh.geometry)
     for name, wanted in (("cell_tags", dim), ("facet_tags", dim - 1)):
         tags = getattr(tagged_mesh, name)
         if tags is None and name == "cell_tags":

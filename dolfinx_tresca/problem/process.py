@@ -488,24 +488,6 @@ class ContactProcess(PetscOwner, Tabulated):
         fields.reactions[name] = result
         return result
 
-    @collective(comm_of_self)
-    def reaction_form(self, where: Any, direction: npt.ArrayLike) -> ufl.Form:
-        """Return a component of a support's force, as a goal of derivatives. Collective.
-
-        The form of rank 0 depends on the last solution's `u`; `gradient` and `tangent` take it.
-
-        Args:
-            where: see `reaction`.
-            direction: (d,) vector by which the force is multiplied.
-
-        Raises:
-            ContactError: there is no solution.
-            InputError: see `reaction`; the direction is no vector; contact acts on nodes of the
-                support; or a pair has finite sliding.
-        """
-        self._check_pairing_fixed()
-        return self._supports()[1].reaction_form(where, direction)
-
     def _supports(self) -> tuple[Evaluation, Supports]:
         """Return the last solution, and what holds the bodies at it. Not collective.
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -136,26 +136,6 @@ class GmshGeometry:
         return replace(self, curved=curved), sorted(off)
 
     @contextmanager
-    def projections(self) -> Iterator[dict[int, Projection]]:
-        """Open the file in Gmsh and yield tag -> projection of nodes onto the surfaces of this tag.
-
-        Nodes that belong to an edge of the surfaces are projected onto the edge, so that a flat
-        surface on the other side of the edge stays flat. Not collective: each rank runs Gmsh on its
-        own.
-
-        Raises:
-            InputError: the file does not use the value of a parameter any more; in the projections:
-                too few nodes are on the surface before they are moved.
-            MeshError: the file does not exist any more, or Gmsh cannot read it.
-        """
-        with self._model() as model:
-            dim = model.getDimension() - 1
-            yield {
-                tag: partial(_project_to_surfaces, model, dim, entities)
-                for tag, entities in self.curved.items()
-            }
-
-    @contextmanager
     def _model(self) -> Iterator[Any]:
         """Yield the file's model of Gmsh."""
         with gmsh_session() as gmsh, tempfile.TemporaryDirectory() as folder:
@@ -189,21 +169,40 @@ def check_geometry(geometry: Geometry | None) -> None:
         )
 
 
+class ExactSurface(NamedTuple):
+    """The surface that the facets with a tag approximate.
+
+    Attributes:
+        pieces: the projection onto each smooth piece of the surface.
+        project: projection of nodes onto the whole surface; nodes that belong to an edge of it are
+            projected onto the edge, so that a flat surface on the other side of the edge stays
+            flat. Raises InputError if too few nodes are on the surface before they are moved.
+    """
+
+    pieces: Sequence[Projection]
+    project: Projection
+
+
 @contextmanager
-def open_pieces(geometry: Geometry) -> Iterator[Mapping[int, Sequence[Projection]]]:
-    """Yield tag -> projections onto each piece of its surface. Not collective.
+def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
+    """Yield tag -> exact surface, for all curved surfaces. Not collective.
+
+    Each rank opens the file of a Gmsh geometry on its own.
 
     Raises:
         InputError: the file of Gmsh's geometry does not use the value of a parameter any more.
         MeshError: the file does not exist any more, or Gmsh cannot read it.
     """
     if not isinstance(geometry, GmshGeometry):
-        yield {tag: [projection] for tag, projection in geometry.items()}
+        yield {int(tag): ExactSurface([function], function) for tag, function in geometry.items()}
         return
     with geometry._model() as model:
         dim = model.getDimension() - 1
         yield {
-            tag: [partial(_nearest, model, (dim, entity)) for entity in entities]
+            tag: ExactSurface(
+                [partial(_nearest, model, (dim, entity)) for entity in entities],
+                partial(_project_to_surfaces, model, dim, entities),
+            )
             for tag, entities in geometry.curved.items()
         }
 
@@ -275,7 +274,8 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
     if on_surface.mean() < 0.1:  # after a refinement the old nodes, at least about a fourth, are
         raise InputError(
             "nodes are not on the surfaces of the geometry from which Gmsh made the mesh: the mesh "
-            "was moved or scaled. Give the curved surfaces as snap={tag: function}, or snap={}."
+            "was moved or scaled. Give the curved surfaces as functions, by dataclasses.replace("
+            "tagged_mesh, geometry={tag: function}), or geometry=None."
         )
     return np.where(on_surface, points, place)
 

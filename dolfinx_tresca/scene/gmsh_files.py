@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -13,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arguments import check_word, checked_number
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.user_fields import check_word, checked_positive
 
 #: Endings of the names of CAD files, and of all files that Gmsh reads here.
 CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs")
@@ -128,11 +127,7 @@ def open_file(
             ".geo file that it was made from instead."
         )
     for name, value in parameters.items():
-        number = real(value)
-        if number is None or not math.isfinite(number):
-            raise InputError(
-                f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
-            )
+        checked_number(f"parameter {name} of '{path}'", value, "(-inf, inf)")
     try:
         if suffix in CAD_SUFFIXES:
             gmsh.option.setString("Geometry.OCCTargetUnit", UNITS[unit])
@@ -292,7 +287,7 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
             raise InputError(
                 f"size: '{name}' has no body {shown(body)}; its bodies are {', '.join(groups)}."
             )
-        checked_positive("a size of cells", value)
+        checked_number("a size of cells", value)
     fields: list[int] = []
 
     def field(kind: str, lists: Mapping[str, Any], **numbers: float) -> int:

@@ -23,7 +23,7 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.geometry import GmshGeometry
+from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry
 from dolfinx_tresca.scene.gmsh_files import (
     CAD_SUFFIXES,
     CELLS_PER_TURN,
@@ -99,15 +99,16 @@ class TaggedMesh:
         facet_tags: `MeshTags` of the facets, with the names of the tags.
         tags: name of each physical group in the file -> tag. The name of an unnamed group is its
             number, as a string.
-        geometry: the geometry from which Gmsh made the mesh, for projection onto curved surfaces;
-            None if it is unknown.
+        geometry: the curved surfaces that facets approximate, on which `refine` puts new nodes: the
+            geometry from which Gmsh made the mesh, or tag -> function, as in `ContactPair`; None if
+            they are unknown, or there are none.
     """
 
     mesh: Any
     cell_tags: Any
     facet_tags: NamedTags
     tags: dict[str, int]
-    geometry: GmshGeometry | None = None
+    geometry: Geometry | None = None
 
     @property
     def outside(self) -> list[int]:
@@ -306,6 +307,8 @@ def _tagged(
                 f"{names[0].get(off[0], off[0])}. Give the CAD file from which the mesh was made, "
                 f"and its unit of length in the mesh (unit is {unit})."
             )
+    if cad_geometry is not None and not cad_geometry.curved:
+        cad_geometry = None
     cells = NamedTags(cell_tags, names[1])
     facets = NamedTags(facet_tags, names[0], cells, cad_geometry)
     return TaggedMesh(mesh, cells, facets, tags, cad_geometry)

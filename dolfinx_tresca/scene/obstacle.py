@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
-from dolfinx_tresca.scene.user_fields import checked_positive, checked_vector, real_array
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
@@ -389,7 +389,7 @@ class RigidSphere(RigidObstacle):
         """
         c, r = (
             _present(_coordinates, "center", center),
-            _present(checked_positive, "radius", radius),
+            _present(checked_number, "radius", radius),
         )
         kind = "hollow sphere" if hollow else "sphere"
         super().__init__(
@@ -439,7 +439,7 @@ class RigidCylinder(RigidObstacle):
                 "cylinder is a disc, RigidSphere(center, radius)."
             )
         p, a = _present(_coordinates, "point", point), _present(_direction, "axis", axis)
-        r = _present(checked_positive, "radius", radius)
+        r = _present(checked_number, "radius", radius)
 
         def distance(x: Array) -> tuple[Array, Array]:
             offset, along = x - p()[:, None], a()

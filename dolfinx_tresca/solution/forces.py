@@ -14,14 +14,14 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.arguments import checked_vector
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs
-from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_values
+from dolfinx_tresca._base.functions import assembled, owned_values
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.user_fields import checked_vector
 from dolfinx_tresca.stiffness.frames import BodyFrames
 
 
@@ -282,34 +282,6 @@ class Supports:
         index = np.zeros(len(rows), dtype=np.intp)
         (result,) = resultants_on(comm, [(places, rows, index)], 1, centre)
         return result if point is None else result.about(point)
-
-    def reaction_form(self, where: Any, direction: npt.ArrayLike) -> Any:
-        """Return a component of a support's force as a form of rank 0 that depends on u.
-
-        The form is the residual R(u; z), where z is the direction at the nodes that the support
-        holds, and zero at all others. Collective.
-
-        Args:
-            where: see `reaction`.
-            direction: (d,) vector by which the force is multiplied.
-
-        Raises:
-            InputError: see `reaction`; the direction is no vector, or contact acts on held nodes.
-        """
-        V = self.contact_force.function_space
-        dim = V.mesh.geometry.dim
-        along = checked_vector("direction", direction, dim)
-        held, springs = self._held_and_springs(where)
-        pressed = np.abs(self.contact_force.x.array[: len(held)][held]).max(initial=0.0)
-        if reduce_array(V.mesh.comm, pressed, MPI.MAX) > 0.0:
-            raise InputError("contact acts on nodes of the support: their share is in no form.")
-        everywhere = fem.Function(V)
-        everywhere.x.array.reshape(-1, dim)[:] = along
-        at_support = with_owned_values(
-            V, np.where(held, everywhere.x.array[: len(held)], 0.0).reshape(-1, dim)
-        )
-        form = self.forms.residual(at_support)
-        return form - springs(everywhere) if springs else form
 
     def _at_nodes(self, form: Any) -> Array:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
