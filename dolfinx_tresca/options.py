@@ -89,7 +89,7 @@ class SolverOptions:
         iterations = checked_positive_integer("max_iterations", self.max_iterations)
         object.__setattr__(self, "max_iterations", iterations)
         names = ["local_accuracy", "mesh_part", "r_tol", "c_fact", "geometry_accuracy"]
-        names += [] if self._is_balanced else ["accuracy"]
+        names += [] if self.accuracy == "balanced" else ["accuracy"]
         intervals = dict.fromkeys(names, "(0, 1)")
         if self.rtol is not None:
             intervals["rtol"] = "(0, 1)"
@@ -119,7 +119,7 @@ class SolverOptions:
         """
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
-        if self._is_balanced:
+        if self.accuracy == "balanced":
             return self
         return self.with_changes(accuracy=min(self.accuracy, accuracy))
 
@@ -131,11 +131,7 @@ class SolverOptions:
     @property
     def balanced(self) -> bool:
         """Whether the accuracy of the iteration follows from the estimated error of the mesh."""
-        return self.rtol is None and self._is_balanced
-
-    @property
-    def _is_balanced(self) -> bool:
-        return isinstance(self.accuracy, str) and self.accuracy == "balanced"
+        return self.rtol is None and self.accuracy == "balanced"
 
     @property
     def target(self) -> str:

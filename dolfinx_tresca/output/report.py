@@ -1,20 +1,39 @@
-"""A report of a solution: one HTML page with table, picture and forces that needs no network."""
+"""A report of a solution as one HTML page, and the versions of all software for bug reports."""
 
 from __future__ import annotations
 
 import base64
 import io
+import os
+import platform
 import sys
 from collections.abc import Sequence
 from html import escape
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+import dolfinx
+
 from dolfinx_tresca._base.parallel import RECENT_WARNINGS
-from dolfinx_tresca.environment import environment
 from dolfinx_tresca.output.summary import vector
-from dolfinx_tresca.table import as_html
+from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
+from dolfinx_tresca.table import Row, as_html, as_text
 from dolfinx_tresca.units import with_unit
+
+#: Packages of PETSc that factor or precondition K.
+SOLVERS = ("mumps", "cholmod", "superlu_dist", "hypre")
+
+#: Python packages whose versions are printed.
+PACKAGES = (
+    *("mpi4py", "fenics-ufl", "fenics-basix", "fenics-ffcx"),
+    *("numpy", "scipy", "gmsh", "pyvista", "matplotlib"),
+)
 
 HEAD = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Contact</title>
@@ -77,3 +96,34 @@ def _rows_of_forces(solution: Any) -> list[list[str]]:
         text = vector(resultant.force, solution.local_error)
         rows.append([names[i], names[j], with_unit(text, solution.units, "force", dim)])
     return rows
+
+
+def environment() -> str:
+    """Return a table of the versions of all software that a solve uses. Not collective."""
+    package, libraries = sys.modules["dolfinx_tresca"], loaded_libraries()
+    petsc = ".".join(map(str, PETSc.Sys.getVersion()))
+    scalars, indices = np.dtype(PETSc.ScalarType), np.dtype(PETSc.IntType)
+    solvers = [name for name in SOLVERS if PETSc.Sys.hasExternalPackage(name)]
+    blas = ", ".join(sorted({Path(path).name for path in filter(BLAS.search, libraries)}))
+    slow = ", the slow reference implementation" if reference_blas(libraries) else ""
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    rows: list[Row] = [
+        ("package", f"dolfinx_tresca {package.__version__}, {Path(str(package.__file__)).parent}"),
+        ("Python", f"{sys.version.split()[0]}, {sys.executable}"),
+        ("machine", f"{platform.platform()}, {os.cpu_count()} processors"),
+        ("DOLFINx", f"{dolfinx.__version__}, {Path(str(dolfinx.__file__)).parent}"),
+        ("PETSc", f"{petsc}, {scalars} scalars, {indices} indices, with {', '.join(solvers)}"),
+        ("MPI", MPI.Get_library_version().splitlines()[0].strip("\0 ")),
+        ("BLAS", f"{blas or 'inside PETSc'}{slow}; OMP_NUM_THREADS {threads}"),
+    ]
+    for name in PACKAGES:
+        try:
+            rows.append(("", f"{name} {metadata.version(name)}"))
+        except metadata.PackageNotFoundError:
+            rows.append(("", f"{name}: not installed"))
+    try:  # Debian installs VTK without metadata
+        core = import_module("vtkmodules.vtkCommonCore")
+        rows.append(("", f"VTK {core.vtkVersion.GetVTKVersion()}"))
+    except ImportError as error:
+        rows.append(("", f"VTK: {error}"))
+    return as_text(rows)

@@ -39,16 +39,11 @@ def gmsh_session() -> Iterator[Any]:
     """
     try:
         import gmsh
-    except ImportError as error:
+    except (ImportError, OSError) as error:
         raise MeshError(
-            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with "
-            "pip install gmsh."
-        ) from error
-    except OSError as error:
-        raise MeshError(
-            f"the Python package gmsh cannot be loaded: {error}. It needs libraries of the system "
-            "(Debian, Ubuntu: apt install libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2 "
-            "libxinerama1)."
+            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with pip "
+            "install gmsh, and the libraries of the system that it needs (Debian, Ubuntu: apt "
+            "install libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2 libxinerama1)."
         ) from error
 
     ours = not gmsh.isInitialized()
@@ -78,16 +73,6 @@ def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
     finally:
         for name, value in before.items():
             gmsh.option.setNumber(name, value)
-
-
-def shapes_of(gmsh: Any) -> bytes | None:
-    """Return the current model's shapes of OpenCASCADE, if any, as text of a `.brep` file."""
-    if not gmsh.model.occ.getEntities():
-        return None
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "shapes.brep"
-        gmsh.write(str(path))
-        return path.read_bytes()
 
 
 def open_file(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from os import PathLike
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,6 +15,7 @@ from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
+from dolfinx_tresca.scene.user_fields import numbers_text
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
@@ -112,56 +111,6 @@ class RigidObstacle:
         self.centre: Array = np.zeros(3)
         self.motion = RigidMotion.none()
         self.given_forces: GivenForces | None = None
-
-    @staticmethod
-    def from_file(path: str | PathLike[str], *, smooth: float = 30.0) -> RigidObstacle:
-        """Return the obstacle inside a closed surface of triangles. Not collective.
-
-        The gap is the distance from the triangles. Normals are interpolated between the corners of
-        the triangles: facets that approximate a curved surface would show as ridges in the
-        pressure. All ranks read the file, with pyvista.
-
-        Args:
-            path: file of a closed surface that pyvista reads: `.stl`, `.ply`, `.obj`, `.vtp` ...
-            smooth: angle [degree] between the normals of two triangles up to which their edge is
-                taken for an artefact; sharper edges stay edges.
-
-        Raises:
-            InputError: the file cannot be read, its surface is not closed, or there is no pyvista.
-        """
-        try:
-            import pyvista
-
-            surface = pyvista.read(path).triangulate().clean()
-            open_edges = surface.n_open_edges if surface.n_cells else 0
-        except Exception as error:  # pyvista and VTK raise errors of many types
-            raise InputError(f"RigidObstacle cannot read '{path}' with pyvista: {error}") from error
-        if not surface.n_cells or open_edges:
-            raise InputError(
-                f"the surface in '{path}' is not closed: {open_edges} edges belong to one "
-                "triangle only. An obstacle needs an inside: close it in the program that made it."
-            )
-        surface.points = surface.points.astype(np.float64)
-        surface = surface.compute_normals(auto_orient_normals=True)
-        smoothed = surface.compute_normals(
-            cell_normals=False, split_vertices=True, feature_angle=smooth
-        )
-        triangles = smoothed.faces.reshape(-1, 4)[:, 1:]
-        corners, normals = smoothed.points[triangles], smoothed.point_data["Normals"][triangles]
-        edges = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
-
-        def distance(x: Array) -> tuple[Array, Array]:
-            points = pyvista.PolyData(np.array(x.T))
-            signed = points.compute_implicit_distance(surface)["implicit_distance"]
-            cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
-            weights = np.einsum("nij,nj->ni", edges[cells], places - corners[cells, 0])
-            weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
-            normal = np.einsum("ni,nij->nj", weights, normals[cells])
-            return signed, (normal / np.linalg.norm(normal, axis=1)[:, None]).T
-
-        obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
-        obstacle.centre = np.array(surface.center)
-        return obstacle
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self}>"
@@ -353,7 +302,7 @@ class RigidPlane(RigidObstacle):
 
         super().__init__(
             distance,
-            f"a rigid plane through {_vector_text(p())} with normal {_vector_text(n())}",
+            f"a rigid plane through {numbers_text(p())} with normal {numbers_text(n())}",
             _constants_of(point, normal),
         )
         self.centre = p()
@@ -394,7 +343,7 @@ class RigidSphere(RigidObstacle):
         kind = "hollow sphere" if hollow else "sphere"
         super().__init__(
             lambda x: _spherical_distance(x - c()[:, None], r(), hollow),
-            f"a rigid {kind} around {_vector_text(c())} of radius {r():g}",
+            f"a rigid {kind} around {numbers_text(c())} of radius {r():g}",
             _constants_of(center, radius),
         )
         self.centre = c()
@@ -447,8 +396,8 @@ class RigidCylinder(RigidObstacle):
 
         super().__init__(
             distance,
-            f"a rigid {'hollow ' if hollow else ''}cylinder through {_vector_text(p())} "
-            f"along {_vector_text(a())} of radius {r():g}",
+            f"a rigid {'hollow ' if hollow else ''}cylinder through {numbers_text(p())} "
+            f"along {numbers_text(a())} of radius {r():g}",
             _constants_of(point, axis, radius),
         )
         self.centre = p()
@@ -526,7 +475,3 @@ def _direction(name: str, value: npt.ArrayLike) -> Array:
     vector = _coordinates(name, value, nonzero=True)
     vector /= np.abs(vector).max()
     return np.asarray(vector / np.linalg.norm(vector))
-
-
-def _vector_text(vector: Array) -> str:
-    return "(" + ", ".join(f"{value:g}" for value in vector) + ")"

@@ -122,15 +122,15 @@ def field_text(value: ScalarField | VectorField) -> str:
     if isinstance(value, fem.Function):
         return f"Function '{value.name}'"
     if isinstance(value, fem.Constant):
-        return f"Constant, now {_numbers_text(value.value)}"
+        return f"Constant, now {numbers_text(value.value)}"
     if isinstance(value, fem.Expression):
         value = value.ufl_expression
     if isinstance(value, Expr):  # UFL's text of vectors has free indices, which nobody can read
         return _text(value) if value.ufl_shape == () else "an expression"
-    return "a function of points" if callable(value) else _numbers_text(value)
+    return "a function of points" if callable(value) else numbers_text(value)
 
 
-def _numbers_text(value: Any) -> str:
+def numbers_text(value: Any) -> str:
     """Return the text of a number, or of the components of a vector."""
     if np.ndim(value) == 0:
         return f"{float(value):g}"
