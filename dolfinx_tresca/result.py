@@ -315,6 +315,14 @@ class ContactSolution(Evaluation, Tabulated):
         """Return the values that must be equal on all ranks, by name. Not collective."""
         return {"status": self.status.value, "pairs": len(self.surfaces), "u": self.u}
 
+    def summary(self) -> str:
+        """Return the table that `print` and `report` show, as text. Not collective.
+
+        It has the status, errors, counts of nodes, and the forces of pairs, bodies, supports and
+        bolts, with as many digits as the error justifies.
+        """
+        return str(self)
+
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
         """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""
         io.write(path, self, fields=fields)

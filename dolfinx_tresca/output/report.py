@@ -21,7 +21,7 @@ import numpy as np
 import dolfinx
 
 from dolfinx_tresca._base.parallel import RECENT_WARNINGS
-from dolfinx_tresca.output.summary import vector
+from dolfinx_tresca.output.summary import significant, vector
 from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
 from dolfinx_tresca.table import Row, as_html, as_text
 from dolfinx_tresca.units import with_unit
@@ -40,9 +40,15 @@ HEAD = """<!DOCTYPE html>
 <meta name="viewport" content="width=device-width, initial-scale=1"><style>
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: auto; padding: 1rem; }
 th, td { text-align: left; vertical-align: top; padding: 0.1rem 1rem 0.1rem 0; }
-div { overflow-x: auto; } img { width: 100%; min-width: 36rem; }
+div { overflow-x: auto; } img, svg { width: 100%; min-width: 36rem; } svg { max-width: 46rem; }
 pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 0.8rem; }
+text { font-size: 12px; text-anchor: middle; paint-order: stroke; stroke: white; stroke-width: 4; }
 </style></head>"""
+
+
+#: The graph shows forces of at least this fraction of the largest one, between at most this number
+#: of bodies: the names of more bodies would cover each other.
+SHOWN_FORCE, MOST_BODIES = 1e-3, 24
 
 
 def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
@@ -59,7 +65,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     sections = {
         "Result": as_html(solution._rows()),
         "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
-        "Forces between bodies": as_html(_rows_of_forces(solution)),
+        "Forces between bodies": force_graph(solution),
         "Load steps": as_html(_rows_of_steps([*steps, solution])) if steps else "",
         "Problem": as_html(solution.problem_rows),
     }
@@ -87,15 +93,40 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
     return rows
 
 
-def _rows_of_forces(solution: Any) -> list[list[str]]:
-    """Return a row for each two bodies that push each other."""
-    names, dim = solution.body_names, solution.u.function_space.mesh.geometry.dim
-    dim = 3 if solution.axisymmetric else dim
-    rows = [["body", "pushed by", "force"]]
-    for (i, j), resultant in solution.between_bodies.items():
-        text = vector(resultant.force, solution.local_error)
-        rows.append([names[i], names[j], with_unit(text, solution.units, "force", dim)])
-    return rows
+def force_graph(solution: Any) -> str:
+    """Return an SVG with bodies as dots, and the forces between them as lines; "" without forces."""
+    names = [*solution.body_names, "rigid obstacles"]
+    forces = {bodies: resultant.force for bodies, resultant in solution.between_bodies.items()}
+    by_obstacles = [np.array(resultant.force) for resultant in solution.body_resultants]
+    for (i, j), force in forces.items():
+        by_obstacles[i] -= force
+        by_obstacles[j] += force
+    forces |= {(body, len(names) - 1): force for body, force in enumerate(by_obstacles)}
+    sizes = {bodies: float(np.linalg.norm(force)) for bodies, force in forces.items()}
+    largest = max(sizes.values())
+    sizes = {bodies: size for bodies, size in sizes.items() if size > SHOWN_FORCE * largest}
+    shown = sorted({body for bodies in sizes for body in bodies})
+    if not 0 < len(shown) <= MOST_BODIES:
+        return ""
+    angles = 2.0 * np.pi * np.arange(len(shown)) / len(shown)
+    x = dict(zip(shown, 330.0 - 210.0 * np.cos(angles), strict=True))  # in pixels
+    y = dict(zip(shown, 190.0 - 150.0 * np.sin(angles), strict=True))
+    dim = 3 if solution.axisymmetric else solution.u.function_space.mesh.geometry.dim
+    lines, texts = [], []
+    for (i, j), size in sizes.items():
+        lines.append(
+            f'<line x1="{x[i]:.0f}" y1="{y[i]:.0f}" x2="{x[j]:.0f}" y2="{y[j]:.0f}" '
+            f'stroke="#7a93a8" stroke-width="{1.0 + 5.0 * size / largest:.1f}"/>'
+        )
+        label = with_unit(significant(size, solution.local_error), solution.units, "force", dim)
+        texts.append((0.7 * x[i] + 0.3 * x[j], 0.7 * y[i] + 0.3 * y[j], label))
+    for body in shown:
+        lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')
+        texts.append((x[body], y[body] + 24.0, names[body]))
+    labels = [f'<text x="{a:.0f}" y="{b:.0f}">{escape(text)}</text>' for a, b, text in texts]
+    low, high = min(y.values()) - 30.0, max(y.values()) + 40.0
+    box = f"0 {low:.0f} 660 {high - low:.0f}"
+    return f'<svg viewBox="{box}" role="img">{"".join(lines + labels)}</svg>'
 
 
 def environment() -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -111,6 +113,56 @@ class RigidObstacle:
         self.centre: Array = np.zeros(3)
         self.motion = RigidMotion.none()
         self.given_forces: GivenForces | None = None
+
+    @staticmethod
+    def from_file(path: str | PathLike[str], *, smooth: float = 30.0) -> RigidObstacle:
+        """Return the obstacle inside a closed surface of triangles. Not collective.
+
+        The gap is the distance from the triangles. Normals are interpolated between the corners of
+        the triangles: facets that approximate a curved surface would show as ridges in the
+        pressure. All ranks read the file, with pyvista.
+
+        Args:
+            path: file of a closed surface that pyvista reads: `.stl`, `.ply`, `.obj`, `.vtp` ...
+            smooth: angle [degree] between the normals of two triangles up to which their edge is
+                taken for an artefact; sharper edges stay edges.
+
+        Raises:
+            InputError: the file cannot be read, its surface is not closed, or there is no pyvista.
+        """
+        try:
+            import pyvista
+
+            surface = pyvista.read(path).triangulate().clean()
+            open_edges = surface.n_open_edges if surface.n_cells else 0
+        except Exception as error:  # pyvista and VTK raise errors of many types
+            raise InputError(f"RigidObstacle cannot read '{path}' with pyvista: {error}") from error
+        if not surface.n_cells or open_edges:
+            raise InputError(
+                f"the surface in '{path}' is not closed: {open_edges} edges belong to one "
+                "triangle only. An obstacle needs an inside: close it in the program that made it."
+            )
+        surface.points = surface.points.astype(np.float64)
+        surface = surface.compute_normals(auto_orient_normals=True)
+        smoothed = surface.compute_normals(
+            cell_normals=False, split_vertices=True, feature_angle=smooth
+        )
+        triangles = smoothed.faces.reshape(-1, 4)[:, 1:]
+        corners, normals = smoothed.points[triangles], smoothed.point_data["Normals"][triangles]
+        edges = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
+
+        def distance(x: Array) -> tuple[Array, Array]:
+            points = pyvista.PolyData(np.array(x.T))
+            signed = points.compute_implicit_distance(surface)["implicit_distance"]
+            cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
+            weights = np.einsum("nij,nj->ni", edges[cells], places - corners[cells, 0])
+            weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
+            normal = np.einsum("ni,nij->nj", weights, normals[cells])
+            return signed, (normal / np.linalg.norm(normal, axis=1)[:, None]).T
+
+        obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
+        obstacle.centre = np.array(surface.center)
+        return obstacle
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self}>"
