@@ -34,7 +34,7 @@ from unittest.mock import patch
 from mpi4py import MPI
 
 import numpy as np
-from adaptive import ACCURACY, STUDIES
+from adaptive import ACCURACY, STUDIES, with_surfaces
 from harness import DASH, Benchmark, Column, Comm, Row, Table
 from harness.timing import timed
 
@@ -191,7 +191,8 @@ def adaptive_solve(name: str, law: str | None, stiffness: str) -> SimpleNamespac
         scene = scene if law is None else scene.but(friction=FRICTION[law])
         return scene.problem(stiffness=stiffness)
 
-    result = solve_adaptively(build, coarse(name), ACCURACY, snap=study.snap, max_dofs=MAX_DOFS)
+    start = with_surfaces(study, coarse(name))
+    result = solve_adaptively(build, start, ACCURACY, max_dofs=MAX_DOFS)
     return SimpleNamespace(
         status=result.solution.status,
         products=sum(level.products for level in result.levels),

@@ -18,8 +18,8 @@ from __future__ import annotations
 import argparse
 import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -29,7 +29,6 @@ from cost import linear
 from harness import DASH, Benchmark, Column, Comm, Row, Table, add_ranks
 
 from dolfinx_tresca import ContactProblem, TaggedMesh, solve_adaptively
-from dolfinx_tresca.adapt.cells import Snap
 from scenes.hertz import cylinder_on_plane, nearest_of_cylinder, on_cylinder
 from scenes.scene import Scene
 from scenes.two_bricks import on_bricks, two_bricks
@@ -55,14 +54,14 @@ class Study:
         coarse: function from a communicator and a size to the scene on the first mesh.
         build: function from a mesh and the degree to the scene on this mesh.
         size: size of the first mesh, N or h [mm].
-        snap: projections to curved surfaces; see `refine`.
+        surfaces: name of a tag -> projection to its curved surface.
     """
 
     name: str
     coarse: Callable[[MPI.Comm, Any], Scene]
     build: Callable[..., Scene]
     size: float
-    snap: Snap | None = None
+    surfaces: Mapping[str, Any] | None = None
 
 
 STUDIES = {
@@ -75,6 +74,12 @@ STUDIES = {
         {"contact": nearest_of_cylinder},
     ),
 }
+
+
+def with_surfaces(study: Study, tagged: TaggedMesh) -> TaggedMesh:
+    """Return a mesh of a study that knows its curved surfaces."""
+    surfaces = {tagged.tags[name]: function for name, function in (study.surfaces or {}).items()}
+    return replace(tagged, geometry=surfaces or None)
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -98,10 +103,9 @@ def measure(comm: Comm, case: Row) -> Iterator[Row]:
 
     result = solve_adaptively(
         build,
-        study.coarse(comm, study.size).tagged_mesh,
+        with_surfaces(study, study.coarse(comm, study.size).tagged_mesh),
         ACCURACY,
         fraction=FRACTIONS[case["meshes"]],
-        snap=study.snap,
         max_dofs=case["dofs"],
         max_levels=MOST_LEVELS,
     )

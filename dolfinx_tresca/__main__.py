@@ -12,8 +12,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfinx_tresca.environment import environment
 from dolfinx_tresca.errors import ContactError
+from dolfinx_tresca.output.report import environment
 
 
 def main() -> None:

@@ -14,7 +14,15 @@ class InputError(ContactError, ValueError):
     """An argument has a wrong type, shape or range, or belongs to another space or mesh."""
 
 
-class MechanismError(InputError):
+class _WithMotion(ContactError):
+    """An error about a motion of bodies."""
+
+    def __init__(self, message: str, motion: Any) -> None:
+        super().__init__(message)
+        self.motion = motion
+
+
+class MechanismError(_WithMotion, InputError):
     """Contact forces cannot balance the loads on bodies, or do not resist a motion of the bodies.
 
     The bodies move as a mechanism.
@@ -23,12 +31,6 @@ class MechanismError(InputError):
         motion: the motion of the bodies, a Function of the displacement's space named "motion"
             whose greatest nodal length is 1; one of the motions if contact leaves several free.
     """
-
-    motion: Any
-
-    def __init__(self, message: str, motion: Any) -> None:
-        super().__init__(message)
-        self.motion = motion
 
 
 class MeshError(ContactError):
@@ -53,18 +55,12 @@ class ConvergenceError(ContactError):
     """The iteration ended before the requested accuracy was reached."""
 
 
-class OutsideTheoryError(ConvergenceError):
+class OutsideTheoryError(_WithMotion, ConvergenceError):
     """The equations are solved, but bodies turn or slide too far for linear theory.
 
     Attributes:
         motion: the displacement of the bodies in the solution [length].
     """
-
-    motion: Any
-
-    def __init__(self, message: str, motion: Any) -> None:
-        super().__init__(message)
-        self.motion = motion
 
 
 def shown(value: Any) -> str:

@@ -99,36 +99,29 @@ class ProgressBar:
         """
         if not self._is_shown:
             return
-        newton = iteration.newton
-        configuration = iteration.configuration
+        newton, configuration = iteration.newton, iteration.configuration
         starts_solve = configuration in (None, 1) and (newton is None or newton.number == 1)
         if iteration.number == 0 and starts_solve:
             self._end_line()
             self._progress, self._start = 0.0, time.perf_counter()
-        seconds = time.perf_counter() - self._start
-        done = iteration.reached <= iteration.wanted
-        if newton is None:
+        if newton is not None:
+            done, residual = newton.ended, newton.residual
+            self._progress = newton.fraction if done else 0.99 * newton.fraction
+            text = f"of load, Newton step {newton.number}"
+        else:
+            done, residual = iteration.reached <= iteration.wanted, iteration.residual
             progress = 1.0
             if not done:
                 progress = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
-            done = iteration.ended if configuration is not None else done
             # the stopping criterion may change during a solve
             self._progress = max(self._progress, progress)
-            where, products = "", f"{iteration.products} products, "
+            text = f"iteration {iteration.number}, {iteration.products} products"
             if configuration is not None:
-                where, products = f"configuration {configuration}, ", ""
-            text = (
-                f"{where}iteration {iteration.number}, {products}"
-                f"residual {iteration.residual:7.1e}, {seconds:.0f} s"
-            )
-        else:
-            done = newton.ended
-            self._progress = newton.fraction if done else 0.99 * newton.fraction
-            text = (
-                f"of load, Newton step {newton.number}, residual {newton.residual:7.1e}, "
-                f"{seconds:.0f} s"
-            )
+                done = iteration.ended
+                text = f"configuration {configuration}, iteration {iteration.number}"
         bar = f"{'#' * round(12 * self._progress):<12}"
+        seconds = time.perf_counter() - self._start
+        text += f", residual {residual:7.1e}, {seconds:.0f} s"
         line = f"contact {self._progress:4.0%} |{bar}| {text}"
         sys.stderr.write("\r" + line[: shutil.get_terminal_size().columns - 1])
         sys.stderr.flush()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
-from dolfinx_tresca._base.arrays import integer, real
-from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca._base.arguments import check_word, checked_number, checked_positive_integer
 
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
@@ -87,35 +85,19 @@ class SolverOptions:
         Raises:
             InputError: a value has the wrong type or is out of its range.
         """
-        methods = get_args(Method)
-        if not isinstance(self.method, str) or self.method not in methods:
-            raise InputError(
-                f"method must be one of {', '.join(methods)}, found {shown(self.method)}."
-            )
-        iterations = integer(self.max_iterations)
-        if iterations is None or iterations < 1:
-            raise InputError(
-                f"max_iterations must be a positive integer, found {shown(self.max_iterations)}."
-            )
+        check_word("method", self.method, get_args(Method))
+        iterations = checked_positive_integer("max_iterations", self.max_iterations)
         object.__setattr__(self, "max_iterations", iterations)
-        guaranteed = self.method in ("projected_newton", "gimssn")
-        for name, value, upper in (
-            *([] if self.rtol is None else [("rtol", self.rtol, 1.0)]),
-            *([] if self._is_balanced else [("accuracy", self.accuracy, 1.0)]),
-            ("local_accuracy", self.local_accuracy, 1.0),
-            ("mesh_part", self.mesh_part, 1.0),
-            ("rho_sigma", self.step_factor, 2.0 if guaranteed else math.inf),
-            ("r_tol", self.r_tol, 1.0),
-            ("c_fact", self.c_fact, 1.0),
-            ("geometry_accuracy", self.geometry_accuracy, 1.0),
-        ):
-            number = real(value)
-            if number is None or not 0.0 < number < upper:
-                raise InputError(
-                    f"{name} must be a number in (0, {upper:g}), found {shown(value)}."
-                )
-            if name != "rho_sigma" or self.rho_sigma is not None:
-                object.__setattr__(self, name, number)
+        names = ["local_accuracy", "mesh_part", "r_tol", "c_fact", "geometry_accuracy"]
+        names += [] if self.accuracy == "balanced" else ["accuracy"]
+        intervals = dict.fromkeys(names, "(0, 1)")
+        if self.rtol is not None:
+            intervals["rtol"] = "(0, 1)"
+        if self.rho_sigma is not None:
+            converges_always = self.method in ("projected_newton", "gimssn")
+            intervals["rho_sigma"] = "(0, 2)" if converges_always else "(0, inf)"
+        for name, interval in intervals.items():
+            object.__setattr__(self, name, checked_number(name, getattr(self, name), interval))
 
     def with_changes(self, **changes: Any) -> SolverOptions:
         """Return a copy with new values of the named options; values None are ignored.
@@ -137,7 +119,7 @@ class SolverOptions:
         """
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
-        if self._is_balanced:
+        if self.accuracy == "balanced":
             return self
         return self.with_changes(accuracy=min(self.accuracy, accuracy))
 
@@ -149,11 +131,7 @@ class SolverOptions:
     @property
     def balanced(self) -> bool:
         """Whether the accuracy of the iteration follows from the estimated error of the mesh."""
-        return self.rtol is None and self._is_balanced
-
-    @property
-    def _is_balanced(self) -> bool:
-        return isinstance(self.accuracy, str) and self.accuracy == "balanced"
+        return self.rtol is None and self.accuracy == "balanced"
 
     @property
     def target(self) -> str:

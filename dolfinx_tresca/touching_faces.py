@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -15,17 +14,17 @@ import numpy as np
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca._base.agreement import collective
+from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array
+from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array, warn
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.pairing.search.self_contact import FINER
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import TaggedMesh, abridged_names
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.user_fields import checked_positive
 from dolfinx_tresca.table import Row, Tabulated
 
 
@@ -86,13 +85,7 @@ class _Face(NamedTuple):
     size: float
 
 
-def _comm_of_mesh(given: Mapping[str, Any]) -> MPI.Comm | None:
-    """Return the communicator of the argument `tagged`, if it has a mesh. Not collective."""
-    tagged = given.get("tagged")
-    return tagged.mesh.comm if isinstance(tagged, TaggedMesh) else None
-
-
-@collective(_comm_of_mesh, ignored=("tagged", "friction"))
+@collective(comm_of("tagged"), ignored=("tagged", "friction"))
 def contacts(
     tagged: TaggedMesh, *, friction: Friction, distance: float | None = None, **options: Any
 ) -> Contacts:
@@ -126,7 +119,7 @@ def contacts(
     """
     if not isinstance(tagged, TaggedMesh):
         raise InputError(f"tagged must be the result of read_gmsh, found {shown(tagged)}.")
-    limit = None if distance is None else checked_positive("distance", distance)
+    limit = None if distance is None else checked_number("distance", distance)
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
     faces = _faces(V, facet_tags)
@@ -173,7 +166,7 @@ def contacts(
         )
         if not pairs:
             raise error
-        log(mesh.comm, "%s", error, level=logging.WARNING, about=names)
+        warn(mesh.comm, "%s", error, about=names)
     return Contacts(pairs, measures, reach)
 
 

@@ -321,6 +321,8 @@ def messages() -> list[tuple[str, str]]:
         match call.func, call.args:
             case ast.Name("log"), [_, message, *_] if "WARNING" in ast.dump(call):
                 found.append(("warning", wording(message)))
+            case ast.Name("warn"), [_, message, *_]:
+                found.append(("warning", wording(message)))
             case ast.Attribute(attr="warning"), [message, *_]:
                 found.append(("warning", wording(message)))
             case ast.Name(name), [message, *_] if name.endswith("Error"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import os
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +14,6 @@ import pytest
 
 import dolfinx_tresca
 from dolfinx_tresca import ContactProblem, SolverOptions
-from dolfinx_tresca._base import requirements
 
 CHECKOUT = Path(__file__).parents[1]
 
@@ -62,15 +60,6 @@ def test_without_dolfinx_the_error_says_what_to_do(tmp_path, fault, remedy):
     last = done.stderr.splitlines()[-1]
     assert last.startswith("ImportError: dolfinx_tresca cannot import DOLFINx")
     assert fault in last and remedy in last
-
-
-@pytest.mark.parametrize(("version", "leaks"), [((3, 13, 1), True), ((3, 13, 2), False)])
-def test_a_python_that_leaks_is_named(monkeypatch, caplog, version, leaks):
-    monkeypatch.setattr(sys, "version_info", (*version, "final", 0))
-    runpy.run_path(requirements.__file__)
-    said = [record.message for record in caplog.records if record.levelname == "WARNING"]
-    assert len(said) == int(leaks)
-    assert all("Python 3.13.1 never frees a mesh" in message for message in said)
 
 
 def test_the_versions_for_a_bug_report():

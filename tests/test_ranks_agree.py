@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import faulthandler
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -454,7 +455,6 @@ CASES: dict[str, Case] = {
         "h differs",
     ),
     "reaction": (lambda s, x: s.problem.reaction(x), 1, 2, "where differs"),
-    "reaction_form": (lambda s, x: s.problem.reaction_form(x, (0, 0, 1)), 1, 2, "where differs"),
     "guaranteed_error": (
         lambda s, x: s.problem.guaranteed_error(gain=x),
         0.1,
@@ -504,11 +504,11 @@ CASES: dict[str, Case] = {
         None,
         "tagged_mesh differs",
     ),
-    "refine, snap": (
-        lambda s, x: refine(s.block, s.solution.cell_errors, snap=x),
-        {"top": lambda x: x},
-        {},
-        "snap differs",
+    "refine, geometry": (
+        lambda s, x: refine(replace(s.block, geometry=x), s.solution.cell_errors),
+        {1: lambda x: x},
+        None,
+        "geometry differs",
     ),
     "indicators": (
         lambda s, x: refinement_indicators(s.problem, x or s.solution.cell_errors),

@@ -90,22 +90,22 @@ def requirements_of(*extras: str) -> "list[str]":
     return [requirement for extra in extras for requirement in listed[extra]]
 
 
+#: Versions of Python whose `functools.singledispatchmethod`, used by UFL, never frees its
+#: arguments, so that every mesh stays in memory.
+LEAKING = ((3, 13, 0), (3, 13, 1))
+
+
 def goes_with_wheels(leaking: bool) -> bool:
     """Whether DOLFINx from PyPI is there for this Python and this machine."""
-    import ast
     import platform
 
-    # read as text: the file imports DOLFINx, which may be missing
-    with open(os.path.join(TOOLS, "..", "dolfinx_tresca", "_base", "requirements.py")) as file:
-        assignments = [node for node in ast.parse(file.read()).body if isinstance(node, ast.Assign)]
-    values = {node.targets[0].id: ast.literal_eval(node.value) for node in assignments}
     glibc, _, version = (os.confstr("CS_GNU_LIBC_VERSION") or "").partition(" ")
     return (
         glibc == "glibc"
         and tuple(map(int, version.split("."))) >= (2, 34)
         and platform.machine() == "x86_64"
         and sys.version_info >= (3, 12)
-        and (sys.version_info[:3] in values["LEAKING"]) == leaking
+        and (sys.version_info[:3] in LEAKING) == leaking
     )
 
 

@@ -1,6 +1,7 @@
 """Tools of all rooms: arrays, MPI, PETSc, versions of DOLFINx; nothing of contact.
 
-- `arrays`: types of arrays and matrices, rounding, plain numbers from arguments.
+- `arrays`: types of arrays and matrices, rounding, plain numbers.
+- `arguments`: checks of the numbers, vectors and words that users give.
 - `tolerances`: how accurately inner problems are solved, and when an iteration is given up.
 - `parallel`: an error of one rank on all ranks, the log, sums and exchanges that give the same bits
   on all ranks, observers, times.

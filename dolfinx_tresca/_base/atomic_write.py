@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; after the block, move the written files to `path`.
 
     The temporary path has the same name, in a new folder beside `path`. At the end of the block,
@@ -39,8 +38,6 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
     Args:
         path: the file or folder that the block writes; the block may write further files beside
             the temporary path.
-        room: upper bound of the size of all files together [bytes]; 0: unknown. So much free space
-            must exist before the block, so that a full disk is noticed first.
 
     Raises:
         InputError: files cannot be written to the folder of `path`.
@@ -51,9 +48,6 @@ def atomic_write(path: Path, room: int = 0) -> Iterator[Path]:
             path.open("r+b").close()  # raises if the file is write-protected
         elif path.exists() and not path.is_dir():
             raise OSError("it is a device or a pipe, and a file would replace it")
-        with tempfile.TemporaryFile(dir=path.parent) as file:
-            if room and hasattr(os, "posix_fallocate"):  # not on macOS
-                os.posix_fallocate(file.fileno(), 0, room)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
             yield Path(folder, path.name)
             for new in Path(folder).iterdir():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -138,23 +137,6 @@ def contains(V: Any, bc: Any) -> bool:
 def is_float64(bc: Any) -> bool:
     """Return whether the values of a Dirichlet condition are of type float64."""
     return isinstance(bc._cpp_object, DirichletBC_float64)
-
-
-def prescribed_function(bc: Any, kind: type) -> Any:
-    """Return the Function of a given class that a Dirichlet condition prescribes.
-
-    If the condition prescribes no Function of this class, the result is `bc.g`. DOLFINx before 0.12
-    keeps only the C++ object of the Function. The Function itself is found among the objects that
-    Python's garbage collector knows.
-
-    Args:
-        bc: a Dirichlet condition.
-        kind: class of the Function that is sought, a subclass of `fem.Function`.
-    """
-    value = bc.g
-    # isinstance would import lazy modules, if there are any among the objects
-    functions = (function for function in gc.get_objects() if issubclass(type(function), kind))
-    return next((f for f in functions if getattr(f, "_cpp_object", None) is value), value)
 
 
 # DOLFINx 0.11 deprecates `dofmap` in favour of `dofmaps`, one for each type of cell.

@@ -82,16 +82,22 @@ def log(
         about: the subject of a warning, such as a pair; `each_warning_once` logs the same message
             once for each subject.
     """
-    logged = _logged_warnings.get()
-    if comm.rank == 0 and level >= logging.WARNING:
+    if comm.rank > 0:
+        return
+    if level >= logging.WARNING:
         RECENT_WARNINGS.append(message % args)
-    if comm.rank > 0 or not _logger.isEnabledFor(level):
-        return
-    if logged is not None and (message, about) in logged:
-        return
+    logged = _logged_warnings.get()
     if logged is not None and level == logging.WARNING:
+        if (message, about) in logged:
+            return
         logged.add((message, about))
-    _logger.log(level, "%s", fill(message % args))
+    if _logger.isEnabledFor(level):
+        _logger.log(level, "%s", fill(message % args))
+
+
+def warn(comm: MPI.Comm, message: str, *args: object, about: str = "") -> None:
+    """Log a warning on the first rank; see `log`. Not collective."""
+    log(comm, message, *args, level=logging.WARNING, about=about)
 
 
 @contextmanager

@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-import logging
-import sys
-
-#: Versions of Python whose `functools.singledispatchmethod`, used by UFL, never frees its
-#: arguments, so that every mesh stays in memory. tools/venvs.py reads these versions from the file.
-LEAKING = ((3, 13, 0), (3, 13, 1))
-
-
 try:
     # MPI comes first: DOLFINx from PyPI finds the MPI library only after mpi4py has loaded it.
-    from mpi4py import MPI
+    from mpi4py import MPI  # noqa: F401
     from petsc4py import PETSc  # noqa: F401
 
     import dolfinx  # noqa: F401
@@ -30,10 +22,3 @@ except ImportError as error:
             "python3-petsc4py, or take the container dolfinx/dolfinx:stable"
         )
     raise ImportError(f"dolfinx_tresca cannot import DOLFINx: {error}. {remedy}.") from error
-
-if sys.version_info[:3] in LEAKING and MPI.COMM_WORLD.rank == 0:
-    logging.getLogger("dolfinx_tresca").warning(
-        "Python %d.%d.%d never frees a mesh whose form UFL has derived: memory grows, and under "
-        "MPICH some 250 problems on new meshes end in a crash. Take another, such as 3.13.2.",
-        *sys.version_info[:3],
-    )

@@ -1,8 +1,10 @@
-"""Refinement of meshes in the cells with the largest errors."""
+"""Refinement of meshes in the cells with the largest errors, and on curved surfaces."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -17,10 +19,16 @@ from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arrays import Array, Mask, real
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
-from dolfinx_tresca.adapt.cells import BisectedCells, Snap, checked_snap, snapped
+from dolfinx_tresca._base.arguments import checked_number
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes, warn
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.geometry import (
+    ExactSurface,
+    check_geometry,
+    open_geometry,
+    project_points,
+)
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 
 #: Least squared error of a marked cell, divided by the least that Doerfler's marking needs. The
@@ -35,7 +43,6 @@ def refine(
     tagged_mesh: TaggedMesh,
     cell_errors: fem.Function | Array,
     fraction: float = 0.5,
-    snap: Snap | None = None,
 ) -> TaggedMesh:
     """Return a mesh with smaller cells where errors are large, and the same tags. Collective.
 
@@ -58,17 +65,18 @@ def refine(
             together are refined. With a small part few cells are cut each time, and there are more
             meshes to solve on. With 1 all edges of all cells are bisected, which is uniform
             refinement.
-        snap: curved surfaces, as a mapping from the name or number of a tag of facets to a function
-            from points (3, n) to the nearest points (3, n) on the surface [length]. The nodes of
-            these facets move to the nearest points. New nodes on other facets stay on the old flat
-            facets. None: if `read_gmsh` made the mesh from a `.geo` file, nodes move to all curved
-            surfaces of this file, by projections of Gmsh, which opens the file again on each rank;
-            otherwise no node moves. {}: no node moves.
+
+    Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
+    this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
+    New nodes on other facets stay on the old flat facets. For other curved surfaces, or none::
+
+        surfaces = {tagged_mesh.tags["ball"]: on_ball}  # function from points (3, n) to (3, n)
+        tagged_mesh = dataclasses.replace(tagged_mesh, geometry=surfaces)
 
     Raises:
-        InputError: an argument is wrong, the mesh has cells that cannot be bisected, or see
-            `GmshGeometry.projections`.
-        MeshError: see `GmshGeometry.projections`.
+        InputError: an argument is wrong, the mesh has cells that cannot be bisected, or the
+            geometry does not fit the mesh.
+        MeshError: the file of the geometry does not exist any more, or Gmsh cannot read it.
 
     Example:
         >>> from mpi4py import MPI
@@ -81,9 +89,171 @@ def refine(
         (24, 192)
     """
     check_tagged_mesh(tagged_mesh)
-    check_fraction(fraction)
-    checked_snap(tagged_mesh, snap)
-    return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction), snap)
+    checked_number("fraction", fraction, "(0, 1]")
+    return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction))
+
+
+@dataclass(frozen=True)
+class BisectedCells:
+    """The cells into which bisection cuts this rank's cells of a mesh.
+
+    Cells have the dimension d.
+
+    Attributes:
+        mesh: the mesh of the new cells, which are on the ranks of their parents.
+        parent: (n,) the cell of the old mesh that contains each new cell of this rank.
+        parent_facet: (n, d + 1) the facet of the parent, by its number there, in which each facet
+            of the cell lies; -1: the facet is inside of the parent.
+        nodes: (n, d + 1) nodes of `mesh` at the corners of each cell. The facets of a cell are in
+            the order of the opposite corners.
+    """
+
+    mesh: Any
+    parent: npt.NDArray[np.int32]
+    parent_facet: npt.NDArray[np.int8]
+    nodes: Indices
+
+    @classmethod
+    def from_marked(cls, mesh: Any, marked: Mask) -> BisectedCells:
+        """Bisect all edges of marked cells, and further edges as needed. Collective.
+
+        DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based
+        on the skeleton): angles stay away from zero after any number of bisections. Among edges of
+        equal length, DOLFINx cuts the first one in the numbering of a rank, which depends on the
+        partition: the mesh is stretched meanwhile, in the same way for any partition.
+
+        Args:
+            mesh: mesh of simplices.
+            marked: (owned cells,) whether each cell is marked.
+        """
+        dim = mesh.topology.dim
+        mesh.topology.create_entities(1)
+        mesh.topology.create_connectivity(dim, 1)
+        mesh.topology.create_connectivity(1, dim)
+        cells = np.flatnonzero(marked).astype(np.int32)
+        option = dolfinx.mesh.RefinementOption.parent_cell_and_facet
+        # close to the identity; afterwards only parallel edges of a cell are equally long
+        stretch = np.eye(3) + 1e-6 * np.triu(np.exp(np.arange(9.0).reshape(3, 3) / np.pi))
+        x, stretch = mesh.geometry.x, stretch[:dim, :dim]
+        before = x.copy()
+        try:
+            x[:, :dim] = x[:, :dim] @ stretch
+            edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
+            fine, parent, parent_facet = dolfinx.mesh.refine(mesh, edges, None, option)
+        finally:
+            x[:] = before
+        fine.geometry.x[:, :dim] = np.linalg.solve(stretch.T, fine.geometry.x[:, :dim].T).T
+        # both have the order of the cells before DOLFINx renumbered them
+        count = len(parent)
+        order = np.asarray(fine.topology.original_cell_index)[:count]
+        order = order - sum(mesh.comm.allgather(count)[: mesh.comm.rank])
+        parent_facet = np.reshape(parent_facet, (count, dim + 1))[order]
+        nodes = compat.geometry_dofmap(fine)[:count].astype(np.intp)
+        return cls(fine, parent[order], parent_facet, nodes)
+
+    @property
+    def numbers(self) -> npt.NDArray[np.int64]:
+        """(nodes,) the numbers of this rank's nodes over all ranks. Not collective."""
+        count = np.arange(len(self.mesh.geometry.x), dtype=np.int32)
+        return np.asarray(self.mesh.geometry.index_map().local_to_global(count))
+
+    def volumes(self, points: Array) -> Array:
+        """Return the signed volumes (n,), times d!, for nodes at given points (nodes, 3)."""
+        sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
+        return np.asarray(np.linalg.det(sides[:, :, : self.mesh.topology.dim]))
+
+    def inherited_facets(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
+        """Return the nodes (m, d) and tags (m,) of the facets of the cells that inherit a tag.
+
+        A facet inside a tagged facet of the old `mesh` gets this tag. A facet between two cells
+        occurs twice. Not collective.
+        """
+        dim = mesh.topology.dim
+        mesh.topology.create_connectivity(dim, dim - 1)
+        facets_of_cells = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+        value, tagged = _of_entities(facets_of_cells.max(initial=-1) + 1, tags)
+        inside = self.parent_facet < 0
+        number = np.where(inside, 0, self.parent_facet)
+        facets = np.take_along_axis(facets_of_cells[self.parent], number, axis=1)
+        cell, side = np.nonzero(~inside & tagged[facets])
+        corners = np.arange(dim + 1) != side[:, None]
+        return self.nodes[cell][corners].reshape(-1, dim), value[facets[cell, side]]
+
+    def inherited_cells(self, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
+        """Return nodes (m, d + 1) and tags (m,) of cells with tagged parents. Not collective."""
+        value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
+        kept = tagged[self.parent]
+        return self.nodes[kept], value[self.parent[kept]]
+
+
+def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
+    """Return the tag (n,) of each entity, 0 if untagged, and whether it is tagged (n,).
+
+    The number n is at least `count`, and large enough for all tagged entities.
+    """
+    count = max(count, int(tags.indices.max(initial=-1)) + 1)
+    value, tagged = np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
+    value[tags.indices], tagged[tags.indices] = tags.values, True
+    return value, tagged
+
+
+def snapped(
+    cells: BisectedCells,
+    facets: Indices,
+    tags: npt.NDArray[np.int32],
+    surfaces: Mapping[int, ExactSurface],
+) -> Array:
+    """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
+
+    The nodes of a cell that would become flat or inverted do not move. A warning is logged, and the
+    next refinement tries again, with smaller cells.
+
+    Args:
+        cells: the cells.
+        facets: (m, d) nodes of tagged facets.
+        tags: (m,) tags of the facets.
+        surfaces: tag -> the exact surface of the facets.
+
+    Raises:
+        InputError: a projection fails, or does not return one finite point for each node; or no
+            facet has the tag of a projection.
+    """
+    mesh = cells.mesh
+    comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
+    start = surface = mesh.geometry.x.copy()
+    for tag, exact in surfaces.items():
+        nodes = np.unique(facets[tags == tag])
+        if reduce_array(comm, len(nodes)) == 0:
+            raise InputError(f"the geometry has facets that there are not: none has the tag {tag}.")
+        with errors_on_all_ranks(comm):
+            target = project_points(surface[nodes], f"geometry[{tag}]", exact.project, dim)
+        # another rank may know of a node, but of none of its facets
+        values = np.column_stack([target, np.ones(len(nodes))])
+        sums = summed_at_nodes(index_map, nodes, values)
+        surface = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), surface)
+
+    held: Mask = np.zeros(len(start), dtype=np.bool_)
+    points, volumes = surface, cells.volumes(start)
+    while True:
+        flat = np.sign(volumes) * cells.volumes(points) < 0.1 * np.abs(volumes)
+        more = held.copy()
+        more[cells.nodes[flat]] = True
+        every = np.arange(len(more))
+        more = summed_at_nodes(index_map, every, more[:, None].astype(float))[:, 0] > 0.0
+        if reduce_array(comm, (more & ~held).sum()) == 0:
+            break
+        held = more
+        points = np.where(held[:, None], start, surface)
+    back = held & (surface != start).any(axis=1)
+    count = int(reduce_array(comm, back[: index_map.size_local].sum()))
+    if count:
+        warn(
+            comm,
+            "%d nodes were not moved to their curved surface, where cells would have become flat "
+            "or turned inside out; a finer mesh to begin with helps there",
+            count,
+        )
+    return np.asarray(points)
 
 
 def bisected(
@@ -104,23 +274,19 @@ def bisected(
     return BisectedCells.from_marked(mesh, marked)
 
 
-def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells, snap: Snap | None) -> TaggedMesh:
+def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
     """Return the mesh of bisected cells, with tags and on curved surfaces. Collective.
 
     Args:
         tagged_mesh: the mesh before.
         cells: the bisected cells of this mesh.
-        snap: see `refine`; it has been checked.
     """
     mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry
-    comm, dim, surfaces = mesh.comm, mesh.topology.dim, checked_snap(tagged_mesh, snap)
+    comm, dim = mesh.comm, mesh.topology.dim
     facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
     with ExitStack() as session:
-        if snap is None and geometry is not None and geometry.curved:
-            names = {tag: name for name, tag in tagged_mesh.tags.items()}
-            with errors_on_all_ranks(comm):
-                projections = session.enter_context(geometry.projections())
-            surfaces = {tag: (names[tag], projection) for tag, projection in projections.items()}
+        with errors_on_all_ranks(comm):
+            surfaces = session.enter_context(open_geometry(geometry or {}))
         points = snapped(cells, facets, facet_values, surfaces)
 
     numbers, index_map = cells.numbers, cells.mesh.geometry.index_map()
@@ -138,7 +304,7 @@ def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells, snap: Snap | None
     facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
     if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
         facet_tags.cell_tags = cell_tags
-    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), tagged_mesh.geometry)
+    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), geometry)
 
 
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
@@ -166,25 +332,14 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))
 
 
-def check_fraction(fraction: float) -> None:
-    """Check a part of the squared errors. Not collective.
-
-    Raises:
-        InputError: the part is not in (0, 1].
-    """
-    number = real(fraction)
-    if number is None or not 0.0 < number <= 1.0:
-        raise InputError(f"fraction must be a number in (0, 1], found {shown(fraction)}.")
-
-
 def check_tagged_mesh(tagged_mesh: Any) -> None:
     """Check that cells can be bisected, and that the tags belong to cells and to facets.
 
     Not collective.
 
     Raises:
-        InputError: the argument is not a mesh with tags, the cells cannot be bisected, or tags are
-            of entities of another dimension.
+        InputError: the argument is not a mesh with tags, the cells cannot be bisected, its geometry
+            is none, or tags are of entities of another dimension.
     """
     if not isinstance(tagged_mesh, TaggedMesh):
         raise InputError(
@@ -205,8 +360,9 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
     if nodes != dim + 1:
         raise InputError(
             f"cells must have straight edges, found {nodes} nodes in each. Mesh with elements of "
-            "order 1, and give the curved surfaces as snap={tag: function}."
+            "order 1, and give the curved surfaces as TaggedMesh.geometry={tag: function}."
         )
+    check_geometry(tagged_mesh.geometry)
     for name, wanted in (("cell_tags", dim), ("facet_tags", dim - 1)):
         tags = getattr(tagged_mesh, name)
         if tags is None and name == "cell_tags":

@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
-from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.arguments import checked_number, checked_positive_integer
 from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import (
     agreed_observer,
@@ -30,10 +30,8 @@ from dolfinx_tresca._base.parallel import (
     reduce_array,
 )
 from dolfinx_tresca._base.tolerances import FORCING
-from dolfinx_tresca.adapt.cells import Snap, checked_snap
 from dolfinx_tresca.adapt.refinement import (
     bisected,
-    check_fraction,
     check_tagged_mesh,
     checked_cell_errors,
     distributed,
@@ -293,7 +291,6 @@ def solve_adaptively(
     *,
     goal: Goal | None = None,
     fraction: float = 0.7,
-    snap: Snap | None = None,
     max_dofs: int = 1_000_000,
     max_levels: int = 50,
     after: ContactSolution | None = None,
@@ -309,7 +306,8 @@ def solve_adaptively(
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,
             conditions and pairs as in an ordinary script. This call destroys the problems.
-        tagged_mesh: the first mesh, of triangles or tetrahedra. It need not be fine anywhere; but
+        tagged_mesh: the first mesh, of triangles or tetrahedra, with the curved surfaces that it
+            knows (see `refine`). It need not be fine anywhere; but
             gaps and interferences of curved surfaces have an error of about a hundredth of the
             distance between the surfaces and their flat facets.
         accuracy: wanted relative error of the displacement in the energy norm, in (0, 1). It is
@@ -321,7 +319,6 @@ def solve_adaptively(
         fraction: part of the sum of squared errors that the cells to be cut have together; see
             `refine`. (On two bricks 0.5 and 0.85 took up to 1.2 times as long; with 0.5 there are
             more meshes, and fewer unknowns on the last one.)
-        snap: projections to curved surfaces; see `refine`.
         max_dofs: approximate limit for `free_dofs` of a mesh: no problem is made on a larger mesh.
         max_levels: limit for the number of meshes.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this
@@ -373,11 +370,18 @@ def solve_adaptively(
     """
     check_tagged_mesh(tagged_mesh)
     comm = tagged_mesh.mesh.comm
-    _check(build, accuracy, after)
-    most_dofs = checked_limit("max_dofs", max_dofs)
-    most_levels = checked_limit("max_levels", max_levels)
-    check_fraction(fraction)
-    checked_snap(tagged_mesh, snap)
+    if not callable(build):
+        raise InputError(f"build must be a function of a TaggedMesh, found {shown(build)}.")
+    wanted = checked_number("accuracy", accuracy, "(0, 1)")
+    most_dofs = checked_number("max_dofs", max_dofs, "(0, inf]")
+    most_levels = checked_positive_integer("max_levels", max_levels)
+    checked_number("fraction", fraction, "(0, 1]")
+    if isinstance(after, AdaptiveSolution):
+        raise InputError(
+            "after must be a ContactSolution, found an AdaptiveSolution: take its .solution."
+        )
+    if after is not None and not isinstance(after, ContactSolution):
+        raise InputError(f"after must be a ContactSolution, found {shown(after)}.")
     observe = agreed_observer(comm, observer, "a Level, such as print")
     levels: list[Level] = []
     while True:
@@ -405,7 +409,7 @@ def solve_adaptively(
             stop, status = observe(level), None
             if level.solution.status is not ContactStatus.CONVERGED:
                 status = AdaptiveStatus.FAILED
-            elif level.error <= accuracy:
+            elif level.error <= wanted:
                 status = AdaptiveStatus.REACHED
             elif stop:
                 status = AdaptiveStatus.STOPPED
@@ -418,7 +422,7 @@ def solve_adaptively(
                 if growth * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:
-                    tagged_mesh = distributed(tagged_mesh, cells, snap)
+                    tagged_mesh = distributed(tagged_mesh, cells)
             is_end = status not in (None, AdaptiveStatus.FAILED)
             if is_end and level.solution.options != options:
                 solution = problem.solve()
@@ -426,7 +430,7 @@ def solve_adaptively(
                 level = replace(level, solution=solution, products=products)
         levels.append(replace(level, seconds=_seconds(comm, start)))
         if status is not None:
-            return AdaptiveSolution(status, float(accuracy), tuple(levels))
+            return AdaptiveSolution(status, wanted, tuple(levels))
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:
@@ -453,36 +457,3 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
             "such as that of the level before: take space, forms, conditions and tags from the "
             "argument."
         )
-
-
-def _check(build: Build, accuracy: float, after: Any) -> None:
-    """Check arguments. Not collective.
-
-    Raises:
-        InputError: an argument is of the wrong type or out of its range.
-    """
-    if not callable(build):
-        raise InputError(f"build must be a function of a TaggedMesh, found {shown(build)}.")
-    number = real(accuracy)
-    if number is None or not 0.0 < number < 1.0:
-        raise InputError(f"accuracy must be a number in (0, 1), found {shown(accuracy)}.")
-    if isinstance(after, AdaptiveSolution):
-        raise InputError(
-            "after must be a ContactSolution, found an AdaptiveSolution: take its .solution."
-        )
-    if after is not None and not isinstance(after, ContactSolution):
-        raise InputError(f"after must be a ContactSolution, found {shown(after)}.")
-
-
-def checked_limit(name: str, value: Any) -> float:
-    """Check a limit for the size or the number of meshes, and return it. Not collective.
-
-    Raises:
-        InputError: the limit is of the wrong type or not positive, or `max_levels` not an integer.
-    """
-    number = real(value)
-    if number is None or not number > 0.0:
-        raise InputError(f"{name} must be a positive number, found {shown(value)}.")
-    if name == "max_levels" and not (number.is_integer() or math.isinf(number)):
-        raise InputError(f"{name} must be a positive integer, found {shown(value)}.")
-    return number

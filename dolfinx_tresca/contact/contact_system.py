@@ -452,13 +452,12 @@ def _status_of_fields(
     options: SolverOptions,
     requested: SolverOptions,
 ) -> ContactStatus:
-    """Return the status of a solve, given the error bound of its fields. Collective.
+    """Return the status of a solve from its fields, which are what the user gets. Collective.
 
-    The fields are computed from the last multipliers anew, and their error bound may differ from
-    the bound of the iterate that the iteration has accepted: if it is too large, rounding prevents
-    the requested accuracy. A solve that ends for another reason than the observer, but whose fields
-    have the requested accuracy, has converged: the reason then prevented only the accuracy of
-    `options`, or of the iterates.
+    The fields are computed anew from the last multipliers, and so is the bound of their error. It
+    may be larger than the bound with which the iteration ended: then rounding prevents the accuracy
+    that `options` ask for. It may also be small enough for what the user requested although the
+    iteration ended early, since `options` may ask for more, or the iterates were less accurate.
 
     Args:
         dual: the dual problem.
@@ -467,17 +466,21 @@ def _status_of_fields(
         options: options of the contact algorithm.
         requested: the options that the user gave; `options` may ask for more.
     """
-    status = solution.status
-    is_accurate = not evaluation.energy_error_bound > SLACK * solution.wanted
-    if status is ContactStatus.STOPPED or (status is ContactStatus.CONVERGED and is_accurate):
-        return status
-    if status is ContactStatus.CONVERGED:
-        status = ContactStatus.STAGNATED
+    if solution.status is ContactStatus.STOPPED:
+        return ContactStatus.STOPPED
+    error = evaluation.energy_error_bound
+    ended_early = solution.status is not ContactStatus.CONVERGED
+    if not ended_early and not error > SLACK * solution.wanted:
+        return ContactStatus.CONVERGED
+
     # the bound of the error is that of multipliers in equilibrium
-    is_met = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
-    if requested.rtol is None:
-        bound = evaluation.energy_error_bound
-        is_met &= not requested.balanced and bound <= SLACK * float(requested.accuracy)
+    balanced = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
+    if requested.rtol is not None:
+        as_requested = solution.residuals[-1] <= requested.rtol and requested != options
+    elif requested.balanced:  # by an estimate of the mesh's error, which the iteration knows
+        as_requested = False
     else:
-        is_met &= solution.residuals[-1] <= requested.rtol and requested != options
-    return ContactStatus.CONVERGED if is_met else status
+        as_requested = error <= SLACK * float(requested.accuracy)
+    if balanced and as_requested:
+        return ContactStatus.CONVERGED
+    return solution.status if ended_early else ContactStatus.STAGNATED

@@ -92,8 +92,7 @@ def write_state(
             content["numbers"] = np.array([history.dissipation, history.begun, step])
             for name in columns:
                 content[name] = np.concatenate([of_rank[name] for of_rank in ranks])
-            size = sum(np.asarray(values).nbytes for values in content.values())
-            with atomic_write(path, size) as new, new.open("wb") as stream:
+            with atomic_write(path) as new, new.open("wb") as stream:
                 np.savez(stream, **content)
 
 

@@ -20,5 +20,5 @@ same adjoint. A *tape* keeps accepted load steps, and carries gradients back thr
 Read first: `linearised.LinearisedContact` (the equations, with tangent and adjoint as one solve),
 `change_of_data.DataOfSolution` (what depends on controls), `gradient_and_tangent.gradient`. The
 files are in the order of imports: `linearised`, `goals` (with their errors), `change_of_data`,
-`gradient_and_tangent`, `tape`; `dolfinx_tresca/pyadjoint.py` puts solves on the tape of pyadjoint.
+`gradient_and_tangent`, `tape`.
 """

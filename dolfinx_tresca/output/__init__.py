@@ -9,7 +9,8 @@ A picture is a figure of matplotlib with a *panel* for the bodies and one for ea
 renders the *views* of bodies and surfaces, matplotlib draws all text and the chart of a contact
 curve of 2D. A `Contact` is a surface gathered for its panel.
 
-A table is a list of `Row`s, names and values, which `print` and notebooks show.
+A table is a list of `Row`s, names and values, which `print` and notebooks show. A report is tables
+and the picture on one page, with the versions of all software.
 
 Read first: `io.write`, `grid.gather_grid`, `plot.compose`.
 """

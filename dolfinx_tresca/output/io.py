@@ -55,11 +55,6 @@ def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
     return comm_of("u")({"u": getattr(given.get("solution"), "u", None)})
 
 
-def _series_options(writer: SolutionWriter) -> dict[str, Any]:
-    """Return the options of a series, which the ranks compare. Not collective."""
-    return {"append": writer._append}
-
-
 @collective(_comm_of_solution, ignored=("path",))
 def write(path: str | Path, solution: Evaluation, *, fields: Sequence[Field] = ()) -> None:
     """Write displacement and contact fields for ParaView, as a `.pvd`.
@@ -140,7 +135,7 @@ class SolutionWriter:
         Args:
             path: the `.pvd`; the first rank's path counts.
             append: whether to continue an existing series, after a restart: its steps before the
-                time of the first `write` stay.
+                time of the first `write` stay. The first rank decides.
 
         Raises:
             InputError: the suffix is not `.pvd`.
@@ -155,7 +150,7 @@ class SolutionWriter:
         self._latest_time = -math.inf
         self._series: list[DataSet] | None = None  # on the first rank, after the first step
 
-    @collective(_comm_of_solution, ignored=("time",), extra_values=_series_options)
+    @collective(_comm_of_solution, ignored=("time",))
     def write(self, solution: Evaluation, time: float, *, fields: Sequence[Field] = ()) -> None:
         """Add a solution. Collective.
 
@@ -195,24 +190,10 @@ class SolutionWriter:
         grids = {name: gather_grid(functions) for name, functions in blocks.items()}
         with errors_on_all_ranks(comm), file_named_in_errors(self._path):
             if comm.rank == ROOT:
-                older = self._older_steps(time) if self._series is None else self._series
+                older = self._series or []
+                if self._series is None and self._append and self._path.exists():
+                    older = [data for data in read_pvd(self._path) if data.time < time]
                 self._write_step(older, time, grids)
-
-    def _older_steps(self, time: float) -> list[DataSet]:
-        """Return the steps of a continued series that are before a time. Not collective.
-
-        Raises:
-            InputError: the older series cannot be read.
-        """
-        if not self._append or not self._path.exists():
-            return []
-        try:
-            series = [data for data in read_pvd(self._path) if data.time < time]
-            for data in series:
-                int(_step_folder(data))
-        except ValueError as error:  # also if the name of a folder is not a number
-            raise InputError(f"cannot add to '{self._path}': {error}.") from error
-        return series
 
     def _write_step(
         self, older: Sequence[DataSet], time: float, grids: Mapping[str, Grid | None]
@@ -223,8 +204,7 @@ class SolutionWriter:
         has left.
         """
         steps = self._path.with_suffix("")
-        count = len({_step_folder(data) for data in older})
-        folders = (steps / f"{i:04}" for i in itertools.count(count))
+        folders = (steps / f"{i:04}" for i in itertools.count())
         folder = next(folder for folder in folders if not folder.exists())
         folder.mkdir(parents=True)
         series = [*older]
@@ -240,16 +220,11 @@ class SolutionWriter:
             _remove_grids(folder)
             raise
         if self._series is None:
-            kept = {_step_folder(data) for data in series}
+            kept = {Path(data.file).parent.name for data in series}
             for step in steps.glob("[0-9]*"):
                 if step.name.isdecimal() and step.name not in kept:
                     _remove_grids(step)
         self._series = series
-
-
-def _step_folder(data: DataSet) -> str:
-    """Return the name of the folder of a step: its number."""
-    return Path(data.file).parent.name
 
 
 def _remove_grids(folder: Path) -> None:
@@ -318,15 +293,15 @@ def read_pvd(path: Path) -> list[DataSet]:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: the file is no such series.
+        InputError: the file is no such series.
     """
     try:
         return [
             DataSet(float(item.attrib["timestep"]), item.attrib["name"], item.attrib["file"])
             for item in ET.parse(path).iter("DataSet")
         ]
-    except (ET.ParseError, KeyError) as error:
-        raise ValueError(f"not a series of ours ({error!r})") from error
+    except (ET.ParseError, KeyError, ValueError) as error:
+        raise InputError(f"cannot add to '{path}', which is no series: {error!r}.") from error
 
 
 def _root(kind: str) -> ET.Element:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 import shutil
 import subprocess
@@ -17,10 +16,10 @@ from typing import Any
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.output import views
 from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
 from dolfinx_tresca.output.panels import Contact, draw_curve, gather_contact
@@ -94,9 +93,7 @@ def plot(
     suffix = ".png" if name is None else Path(name).suffix
     if suffix not in SUFFIXES:
         raise InputError(f"plot writes {', '.join(SUFFIXES)}, found '{name}'.")
-    factor = None if scale is None else real(scale)
-    if scale is not None and (factor is None or not 0.0 <= factor < math.inf):
-        raise InputError(f"scale must be a number of 0 or more, found {shown(scale)}.")
+    factor = None if scale is None else checked_number("scale", scale, "[0, inf)")
     volume = gather_grid([u])
     labels = [f"{i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
     gathered = list(map(gather_contact, surfaces, labels))

@@ -1,23 +1,39 @@
-"""A report of a solution: one HTML page with table, picture and forces that needs no network."""
+"""A report of a solution as one HTML page, and the versions of all software for bug reports."""
 
 from __future__ import annotations
 
 import base64
 import io
+import os
+import platform
 import sys
 from collections.abc import Sequence
 from html import escape
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 import numpy as np
 
+import dolfinx
+
 from dolfinx_tresca._base.parallel import RECENT_WARNINGS
-from dolfinx_tresca.environment import environment
 from dolfinx_tresca.output.summary import significant, vector
-from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.table import as_html
-from dolfinx_tresca.units import Units, with_unit
+from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
+from dolfinx_tresca.table import Row, as_html, as_text
+from dolfinx_tresca.units import with_unit
+
+#: Packages of PETSc that factor or precondition K.
+SOLVERS = ("mumps", "cholmod", "superlu_dist", "hypre")
+
+#: Python packages whose versions are printed.
+PACKAGES = (
+    *("mpi4py", "fenics-ufl", "fenics-basix", "fenics-ffcx"),
+    *("numpy", "scipy", "gmsh", "pyvista", "matplotlib"),
+)
 
 HEAD = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Contact</title>
@@ -28,6 +44,7 @@ div { overflow-x: auto; } img, svg { width: 100%; min-width: 36rem; } svg { max-
 pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 0.8rem; }
 text { font-size: 12px; text-anchor: middle; paint-order: stroke; stroke: white; stroke-width: 4; }
 </style></head>"""
+
 
 #: The graph shows forces of at least this fraction of the largest one, between at most this number
 #: of bodies: the names of more bodies would cover each other.
@@ -48,7 +65,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     sections = {
         "Result": as_html(solution._rows()),
         "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
-        "Forces between bodies": force_graph(solution, solution.units),
+        "Forces between bodies": force_graph(solution),
         "Load steps": as_html(_rows_of_steps([*steps, solution])) if steps else "",
         "Problem": as_html(solution.problem_rows),
     }
@@ -76,16 +93,11 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
     return rows
 
 
-def force_graph(results: Evaluation, units: Units | None) -> str:
-    """Return an SVG with bodies as dots, and the forces between them as lines; "" without forces.
-
-    Args:
-        results: the solution.
-        units: names of units.
-    """
-    names = [*results.body_names, "rigid obstacles"]
-    forces = {bodies: resultant.force for bodies, resultant in results.between_bodies.items()}
-    by_obstacles = [np.array(resultant.force) for resultant in results.body_resultants]
+def force_graph(solution: Any) -> str:
+    """Return an SVG with bodies as dots, and the forces between them as lines; "" without forces."""
+    names = [*solution.body_names, "rigid obstacles"]
+    forces = {bodies: resultant.force for bodies, resultant in solution.between_bodies.items()}
+    by_obstacles = [np.array(resultant.force) for resultant in solution.body_resultants]
     for (i, j), force in forces.items():
         by_obstacles[i] -= force
         by_obstacles[j] += force
@@ -99,14 +111,14 @@ def force_graph(results: Evaluation, units: Units | None) -> str:
     angles = 2.0 * np.pi * np.arange(len(shown)) / len(shown)
     x = dict(zip(shown, 330.0 - 210.0 * np.cos(angles), strict=True))  # in pixels
     y = dict(zip(shown, 190.0 - 150.0 * np.sin(angles), strict=True))
-    dim = 3 if results.axisymmetric else results.u.function_space.mesh.geometry.dim
+    dim = 3 if solution.axisymmetric else solution.u.function_space.mesh.geometry.dim
     lines, texts = [], []
     for (i, j), size in sizes.items():
         lines.append(
             f'<line x1="{x[i]:.0f}" y1="{y[i]:.0f}" x2="{x[j]:.0f}" y2="{y[j]:.0f}" '
             f'stroke="#7a93a8" stroke-width="{1.0 + 5.0 * size / largest:.1f}"/>'
         )
-        label = with_unit(significant(size, results.local_error), units, "force", dim)
+        label = with_unit(significant(size, solution.local_error), solution.units, "force", dim)
         texts.append((0.7 * x[i] + 0.3 * x[j], 0.7 * y[i] + 0.3 * y[j], label))
     for body in shown:
         lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')
@@ -115,3 +127,34 @@ def force_graph(results: Evaluation, units: Units | None) -> str:
     low, high = min(y.values()) - 30.0, max(y.values()) + 40.0
     box = f"0 {low:.0f} 660 {high - low:.0f}"
     return f'<svg viewBox="{box}" role="img">{"".join(lines + labels)}</svg>'
+
+
+def environment() -> str:
+    """Return a table of the versions of all software that a solve uses. Not collective."""
+    package, libraries = sys.modules["dolfinx_tresca"], loaded_libraries()
+    petsc = ".".join(map(str, PETSc.Sys.getVersion()))
+    scalars, indices = np.dtype(PETSc.ScalarType), np.dtype(PETSc.IntType)
+    solvers = [name for name in SOLVERS if PETSc.Sys.hasExternalPackage(name)]
+    blas = ", ".join(sorted({Path(path).name for path in filter(BLAS.search, libraries)}))
+    slow = ", the slow reference implementation" if reference_blas(libraries) else ""
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    rows: list[Row] = [
+        ("package", f"dolfinx_tresca {package.__version__}, {Path(str(package.__file__)).parent}"),
+        ("Python", f"{sys.version.split()[0]}, {sys.executable}"),
+        ("machine", f"{platform.platform()}, {os.cpu_count()} processors"),
+        ("DOLFINx", f"{dolfinx.__version__}, {Path(str(dolfinx.__file__)).parent}"),
+        ("PETSc", f"{petsc}, {scalars} scalars, {indices} indices, with {', '.join(solvers)}"),
+        ("MPI", MPI.Get_library_version().splitlines()[0].strip("\0 ")),
+        ("BLAS", f"{blas or 'inside PETSc'}{slow}; OMP_NUM_THREADS {threads}"),
+    ]
+    for name in PACKAGES:
+        try:
+            rows.append(("", f"{name} {metadata.version(name)}"))
+        except metadata.PackageNotFoundError:
+            rows.append(("", f"{name}: not installed"))
+    try:  # Debian installs VTK without metadata
+        core = import_module("vtkmodules.vtkCommonCore")
+        rows.append(("", f"VTK {core.vtkVersion.GetVTKVersion()}"))
+    except ImportError as error:
+        rows.append(("", f"VTK: {error}"))
+    return as_text(rows)

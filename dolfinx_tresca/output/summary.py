@@ -14,6 +14,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
@@ -31,15 +32,15 @@ class ProblemSummary:
         free_dofs: n, degrees of freedom of the displacement that are not prescribed.
         contact_nodes: m, nodes that carry multipliers.
         size_rows: the rows that do not belong to pairs.
-        pairs: for each pair: the pair; its kind of pairing and number of nodes, as text; and the
-            range of its gap, as text.
+        pairs: for each pair: the pair with the kind of its pairing and its number of nodes, as
+            text; the range of its gap, as text; and its law.
     """
 
     dofs: int
     free_dofs: int
     contact_nodes: int
     size_rows: tuple[Row, ...]
-    pairs: tuple[tuple[ContactPair, str, str], ...]
+    pairs: tuple[tuple[str, str, Friction], ...]
 
     @classmethod
     def from_system(
@@ -54,7 +55,8 @@ class ProblemSummary:
         texts = []
         for pair, pair_operators, nodes in zip(pairs, operators, counts[2:], strict=True):
             kind = "mortar" if pair.obstacle is None else "obstacle"
-            texts.append((pair, f"{kind}: {nodes} nodes", _gap_range(comm, pair_operators)))
+            gap = _gap_range(comm, pair_operators)
+            texts.append((f"{pair}, {kind}: {nodes} nodes", gap, pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
         free_dofs, contact_nodes = int(counts[0]), int(counts[1])
         kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
@@ -70,11 +72,8 @@ class ProblemSummary:
     def rows(self, units: Units | None) -> list[Row]:
         """Return names and values. Not collective."""
         pair_rows = [
-            (
-                "  pair",
-                f"{pair}, {paired}, {with_unit(gap, units, 'length')}, {pair.friction}",
-            )
-            for pair, paired, gap in self.pairs
+            ("  pair", f"{pair}, {with_unit(gap, units, 'length')}, {law}")
+            for pair, gap, law in self.pairs
         ]
         return [*self.size_rows, *abridged(pair_rows, "pairs")]
 

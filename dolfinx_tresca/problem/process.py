@@ -39,7 +39,6 @@ from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
-from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import slip_from
 from dolfinx_tresca.solution.forces import Forms, Resultant, Supports
 from dolfinx_tresca.table import Row, Tabulated
@@ -485,8 +484,11 @@ class ContactProcess(PetscOwner, Tabulated):
 
             >>> problem.reaction(7).force[2]  # doctest: +SKIP
         """
-        fields, supports = self._supports()
-        surfaces = self._contact.surfaces
+        contact, surfaces = self._contact, self._contact.surfaces
+        fields = contact.solution_for("reaction()").fields
+        u = getattr(self, "u", fields.deformation)
+        facet_tags = self.pairs[0].given_tags("secondary")[0]
+        supports = Supports(self._forms_at(u), u, fields.contact_force, self.prescribed, facet_tags)
         moved = fields.u if surfaces.slides_far else None
         result = supports.reaction(where, point, moved=moved, frames=surfaces.jump.frames)
         tag = integer(where)
@@ -496,36 +498,6 @@ class ContactProcess(PetscOwner, Tabulated):
             name = getattr(supports.facet_tags, "names", {}).get(tag, f"tag {tag}")
         fields.reactions[name] = result
         return result
-
-    @collective(comm_of_self)
-    def reaction_form(self, where: Any, direction: npt.ArrayLike) -> ufl.Form:
-        """Return a component of a support's force, as a goal of derivatives. Collective.
-
-        The form of rank 0 depends on the last solution's `u`; `gradient` and `tangent` take it.
-
-        Args:
-            where: see `reaction`.
-            direction: (d,) vector by which the force is multiplied.
-
-        Raises:
-            ContactError: there is no solution.
-            InputError: see `reaction`; the direction is no vector; contact acts on nodes of the
-                support; or a pair has finite sliding.
-        """
-        self._check_pairing_fixed()
-        return self._supports()[1].reaction_form(where, direction)
-
-    def _supports(self) -> tuple[Evaluation, Supports]:
-        """Return the last solution, and what holds the bodies at it. Not collective.
-
-        Raises:
-            ContactError: there is no solution.
-        """
-        fields = self._contact.solution_for("reaction()").fields
-        u = getattr(self, "u", fields.deformation)
-        facet_tags = self.pairs[0].given_tags("secondary")[0]
-        supports = Supports(self._forms_at(u), u, fields.contact_force, self.prescribed, facet_tags)
-        return fields, supports
 
     def _check_pairing_fixed(self) -> None:
         """Check that the pairing of surfaces does not depend on the solution. Not collective.

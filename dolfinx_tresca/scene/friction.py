@@ -13,6 +13,7 @@ import numpy as np
 from dolfinx import fem
 from ufl.classes import Expr
 
+from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.user_fields import (
@@ -298,7 +299,7 @@ class Coulomb(DryFriction):
                 not a vector.
         """
         name = "the coefficient of friction"
-        if self.curve is None:
+        if curve_of(self.coefficient) is None:
             _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
         elif self.direction is not None:
             raise InputError(
@@ -315,15 +316,10 @@ class Coulomb(DryFriction):
         check_scalar_field(self.adhesion, self.constant_name)
 
     @property
-    def curve(self) -> FrictionCurve | None:
-        """The coefficient as a function of pressure and slip; None if it is not such a function."""
-        return curve_of(self.coefficient)
-
-    @property
     def terms(self) -> BoundTerms:
         """The slip bound as a function of the pressure."""
         limit = math.inf if self.limit is None else self.limit
-        curve = self.curve
+        curve = curve_of(self.coefficient)
         # The iteration begins with a coefficient that should exceed all values of the curve: then
         # no traction is cut off, and loads count as impossible only if no friction can bear them.
         fixed = cast(Bound, self.coefficient) if curve is None else 100.0
@@ -423,20 +419,17 @@ class Preload(Bonded):
         Raises:
             InputError: the force is not a finite number.
         """
-        if not math.isfinite(self.value):
-            raise InputError(f"the force of a preload must be finite, found {shown(self.force)}.")
+        _ = self.value
 
     @property
     def value(self) -> float:
         """The present force [force].
 
         Raises:
-            InputError: the force is not a number.
+            InputError: the force is not a finite number.
         """
-        number = real(getattr(self.force, "value", self.force))
-        if number is None:
-            raise InputError(f"the force of a preload must be a number, found {shown(self.force)}.")
-        return number
+        force = getattr(self.force, "value", self.force)
+        return checked_number("the force of a preload", force, "(-inf, inf)")
 
     def __str__(self) -> str:
         return f"preload {self.value:g}"

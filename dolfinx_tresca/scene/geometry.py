@@ -8,15 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-import dolfinx
-
 from dolfinx_tresca._base.arrays import Array, integer
-from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
 
@@ -67,93 +64,43 @@ class GmshGeometry:
         """
         model = gmsh.model
         dim = model.getDimension() - 1
-        groups = {
-            tag: tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
-            for _, tag in model.getPhysicalGroups(dim)
-        }
-        curved = {
-            tag: entities
-            for tag, entities in groups.items()
-            if not all(_is_flat(model, dim, entity) for entity in entities)
-        }
+        curved: dict[int, tuple[int, ...]] = {}
+        for _, tag in model.getPhysicalGroups(dim):
+            entities = tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
+            if not all(_is_flat(model, dim, entity) for entity in entities):
+                curved[tag] = entities
         return cls(path.resolve(), dict(parameters), curved, unit)
 
-    def matched(self, mesh: Any, facet_tags: Any) -> tuple[GmshGeometry, list[int]]:
-        """Find the surfaces on which tagged facets of a mesh lie, for models without groups.
+    @classmethod
+    def from_shapes(cls, gmsh: Any) -> GmshGeometry | None:
+        """Return the geometry of the current model; None if it has no shapes of OpenCASCADE.
 
-        Collective.
-
-        Args:
-            mesh: the mesh.
-            facet_tags: tags of its facets.
-
-        Returns:
-            the geometry of the tags that lie on surfaces, one of them curved; and the tags with
-            facets that lie on no surface.
-
-        Raises:
-            InputError: the unit is unknown, or the file has a wrong suffix.
-            MeshError: the file does not exist, or Gmsh cannot read it.
+        The shapes are written to a `.brep` file and read again, which numbers surfaces anew. Each
+        surface is found again by its box, its centre and its area.
         """
-        comm, dim = mesh.comm, facet_tags.dim
-        mesh.topology.create_connectivity(dim, dim + 1)
-        on: dict[int, set[int]] = {}
-        off: set[int] = set()
-        flat: dict[int, bool] = {}
-        with errors_on_all_ranks(comm), self._model() as model:
-            entities = [entity for _, entity in model.getEntities(dim)]
-            boxes = {face: np.reshape(model.getBoundingBox(dim, face), (2, 3)) for face in entities}
-            for tag in map(int, np.unique(facet_tags.values)):
-                nodes = dolfinx.mesh.entities_to_geometry(mesh, dim, facet_tags.find(tag))
-                points = mesh.geometry.x[nodes]
-                size = np.ptp(points, axis=1).max(axis=1)
-                nearest = np.full(len(points), np.inf)
-                for entity, box in boxes.items():
-                    inside = (points >= box[0] - size.max()) & (points <= box[1] + size.max())
-                    near = np.flatnonzero(inside.all(axis=(1, 2)))
-                    if not len(near):
-                        continue
-                    places = points[near].reshape(-1, 3).T
-                    away = np.linalg.norm(_nearest(model, (dim, entity), places) - places, axis=0)
-                    away = away.reshape(len(near), -1).max(axis=1)
-                    nearest[near] = np.minimum(nearest[near], away)
-                    if (away <= ON_SURFACE * size[near]).any():
-                        on.setdefault(tag, set()).add(entity)
-                        flat[entity] = _is_flat(model, dim, entity)
-                if (nearest > ON_SURFACE * size).any():
-                    off.add(tag)
-        of_ranks = comm.allgather((on, off, flat))
-        for rank_entities, far, kinds in of_ranks:
-            flat |= kinds
-            for tag, faces in rank_entities.items():
-                on[tag] = on.get(tag, set()) | faces
-            off |= far
-        curved = {
-            tag: tuple(sorted(faces))
-            for tag, faces in sorted(on.items())
-            if tag not in off and not all(flat[entity] for entity in faces)
+        dim = gmsh.model.getDimension() - 1
+        shapes = [entity for _, entity in gmsh.model.occ.getEntities(dim)]
+        if not shapes:
+            return None
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "shapes.brep"
+            gmsh.write(str(path))
+            content = path.read_bytes()
+        geometry = replace(cls.from_open_file(gmsh, Path("gmsh.model"), {}), content=content)
+        measures = {entity: _measures(gmsh.model, dim, entity) for entity in shapes}
+        with geometry._model() as copied:
+            copies = [entity for _, entity in copied.getEntities(dim)]
+            rows = np.array([_measures(copied, dim, entity) for entity in copies])
+        copy_of = {
+            entity: copies[int(np.abs(rows - row).max(axis=1).argmin())]
+            for entity, row in measures.items()
         }
-        return replace(self, curved=curved), sorted(off)
-
-    @contextmanager
-    def projections(self) -> Iterator[dict[int, Projection]]:
-        """Open the file in Gmsh and yield tag -> projection of nodes onto the surfaces of this tag.
-
-        Nodes that belong to an edge of the surfaces are projected onto the edge, so that a flat
-        surface on the other side of the edge stays flat. Not collective: each rank runs Gmsh on its
-        own.
-
-        Raises:
-            InputError: the file does not use the value of a parameter any more; in the projections:
-                too few nodes are on the surface before they are moved.
-            MeshError: the file does not exist any more, or Gmsh cannot read it.
-        """
-        with self._model() as model:
-            dim = model.getDimension() - 1
-            yield {
-                tag: partial(_project_to_surfaces, model, dim, entities)
-                for tag, entities in self.curved.items()
-            }
+        curved = {
+            tag: tuple(copy_of[entity] for entity in group)
+            for tag, group in geometry.curved.items()
+            if copy_of.keys() >= set(group)
+        }
+        return replace(geometry, curved=curved)
 
     @contextmanager
     def _model(self) -> Iterator[Any]:
@@ -189,21 +136,40 @@ def check_geometry(geometry: Geometry | None) -> None:
         )
 
 
+class ExactSurface(NamedTuple):
+    """The surface that the facets with a tag approximate.
+
+    Attributes:
+        pieces: the projection onto each smooth piece of the surface.
+        project: projection of nodes onto the whole surface; nodes that belong to an edge of it are
+            projected onto the edge, so that a flat surface on the other side of the edge stays
+            flat. Raises InputError if too few nodes are on the surface before they are moved.
+    """
+
+    pieces: Sequence[Projection]
+    project: Projection
+
+
 @contextmanager
-def open_pieces(geometry: Geometry) -> Iterator[Mapping[int, Sequence[Projection]]]:
-    """Yield tag -> projections onto each piece of its surface. Not collective.
+def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
+    """Yield tag -> exact surface, for all curved surfaces. Not collective.
+
+    Each rank opens the file of a Gmsh geometry on its own.
 
     Raises:
         InputError: the file of Gmsh's geometry does not use the value of a parameter any more.
         MeshError: the file does not exist any more, or Gmsh cannot read it.
     """
     if not isinstance(geometry, GmshGeometry):
-        yield {tag: [projection] for tag, projection in geometry.items()}
+        yield {int(tag): ExactSurface([function], function) for tag, function in geometry.items()}
         return
     with geometry._model() as model:
         dim = model.getDimension() - 1
         yield {
-            tag: [partial(_nearest, model, (dim, entity)) for entity in entities]
+            tag: ExactSurface(
+                [partial(_nearest, model, (dim, entity)) for entity in entities],
+                partial(_project_to_surfaces, model, dim, entities),
+            )
             for tag, entities in geometry.curved.items()
         }
 
@@ -234,6 +200,12 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
     result = points.copy()
     result[:, :dim] = projected.T[:, :dim]
     return result
+
+
+def _measures(model: Any, dim: int, entity: int) -> Array:
+    """Return box, centre and area (10,) of a surface (in 2D: length of a curve)."""
+    box, centre = model.getBoundingBox(dim, entity), model.occ.getCenterOfMass(dim, entity)
+    return np.array([*box, *centre, model.occ.getMass(dim, entity)])
 
 
 def _is_flat(model: Any, dim: int, entity: int) -> bool:
@@ -275,7 +247,8 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
     if on_surface.mean() < 0.1:  # after a refinement the old nodes, at least about a fourth, are
         raise InputError(
             "nodes are not on the surfaces of the geometry from which Gmsh made the mesh: the mesh "
-            "was moved or scaled. Give the curved surfaces as snap={tag: function}, or snap={}."
+            "was moved or scaled. Give the curved surfaces as functions, by dataclasses.replace("
+            "tagged_mesh, geometry={tag: function}), or geometry=None."
         )
     return np.where(on_surface, points, place)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -13,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arguments import check_word, checked_number
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.user_fields import check_word, checked_positive
 
 #: Endings of the names of CAD files, and of all files that Gmsh reads here.
 CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs")
@@ -40,16 +39,11 @@ def gmsh_session() -> Iterator[Any]:
     """
     try:
         import gmsh
-    except ImportError as error:
+    except (ImportError, OSError) as error:
         raise MeshError(
-            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with "
-            "pip install gmsh."
-        ) from error
-    except OSError as error:
-        raise MeshError(
-            f"the Python package gmsh cannot be loaded: {error}. It needs libraries of the system "
-            "(Debian, Ubuntu: apt install libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2 "
-            "libxinerama1)."
+            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with pip "
+            "install gmsh, and the libraries of the system that it needs (Debian, Ubuntu: apt "
+            "install libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2 libxinerama1)."
         ) from error
 
     ours = not gmsh.isInitialized()
@@ -79,16 +73,6 @@ def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
     finally:
         for name, value in before.items():
             gmsh.option.setNumber(name, value)
-
-
-def shapes_of(gmsh: Any) -> bytes | None:
-    """Return the current model's shapes of OpenCASCADE, if any, as text of a `.brep` file."""
-    if not gmsh.model.occ.getEntities():
-        return None
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "shapes.brep"
-        gmsh.write(str(path))
-        return path.read_bytes()
 
 
 def open_file(
@@ -128,11 +112,7 @@ def open_file(
             ".geo file that it was made from instead."
         )
     for name, value in parameters.items():
-        number = real(value)
-        if number is None or not math.isfinite(number):
-            raise InputError(
-                f"parameter {name} of '{path}' must be a finite number, found {shown(value)}."
-            )
+        checked_number(f"parameter {name} of '{path}'", value, "(-inf, inf)")
     try:
         if suffix in CAD_SUFFIXES:
             gmsh.option.setString("Geometry.OCCTargetUnit", UNITS[unit])
@@ -292,7 +272,7 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
             raise InputError(
                 f"size: '{name}' has no body {shown(body)}; its bodies are {', '.join(groups)}."
             )
-        checked_positive("a size of cells", value)
+        checked_number("a size of cells", value)
     fields: list[int] = []
 
     def field(kind: str, lists: Mapping[str, Any], **numbers: float) -> int:

@@ -8,9 +8,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_tresca._base.arguments import checked_number, checked_vector
 from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.user_fields import checked_positive, checked_vector
 
 
 class _OnPair:
@@ -28,9 +28,8 @@ class _OnPair:
             if name in ("point", "direction"):
                 checked_vector(name, value, 2, 3, nonzero=name == "direction")
             elif name in ("radius", "exponent"):
-                object.__setattr__(self, name, checked_positive(name, value))
-                if name == "exponent" and value < 1.0:
-                    raise InputError(f"exponent must be at least 1, found {value}.")
+                interval = "(0, inf)" if name == "radius" else "[1, inf)"
+                object.__setattr__(self, name, checked_number(name, value, interval))
 
 
 @dataclass(frozen=True)

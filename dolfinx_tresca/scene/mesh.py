@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -16,14 +15,13 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-import dolfinx
 from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.geometry import GmshGeometry
+from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry
 from dolfinx_tresca.scene.gmsh_files import (
     CAD_SUFFIXES,
     CELLS_PER_TURN,
@@ -32,7 +30,6 @@ from dolfinx_tresca.scene.gmsh_files import (
     open_file,
     options,
     set_sizes,
-    shapes_of,
 )
 
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
@@ -99,35 +96,16 @@ class TaggedMesh:
         facet_tags: `MeshTags` of the facets, with the names of the tags.
         tags: name of each physical group in the file -> tag. The name of an unnamed group is its
             number, as a string.
-        geometry: the geometry from which Gmsh made the mesh, for projection onto curved surfaces;
-            None if it is unknown.
+        geometry: the curved surfaces that facets approximate, on which `refine` puts new nodes: the
+            geometry from which Gmsh made the mesh, or tag -> function, as in `ContactPair`; None if
+            they are unknown, or there are none.
     """
 
     mesh: Any
     cell_tags: Any
     facet_tags: NamedTags
     tags: dict[str, int]
-    geometry: GmshGeometry | None = None
-
-    @property
-    def outside(self) -> list[int]:
-        """The tags of all outer facets, as a list for either side of a `ContactPair`. Collective.
-
-        Raises:
-            MeshError: outer facets have no tag.
-        """
-        topology, tags = self.mesh.topology, self.facet_tags
-        topology.create_connectivity(tags.dim, tags.dim + 1)
-        outer = dolfinx.mesh.exterior_facet_indices(topology)
-        with_tag = np.isin(tags.indices, outer)
-        untagged = self.mesh.comm.allreduce(int((~np.isin(outer, tags.indices)).sum()))
-        if untagged:
-            raise MeshError(
-                f"{untagged} facets on the outside have no tag: put all surfaces of the bodies "
-                "into physical groups."
-            )
-        of_ranks = self.mesh.comm.allgather(np.unique(tags.values[with_tag]).tolist())
-        return sorted(set().union(*of_ranks))
+    geometry: Geometry | None = None
 
     def __repr__(self) -> str:
         topology = self.mesh.topology
@@ -149,7 +127,6 @@ def read_gmsh(
     *,
     size: Any = None,
     unit: Any = "mm",
-    geometry: Any = None,
     **parameters: float,
 ) -> TaggedMesh:
     """Mesh a CAD file or a `.geo` file, or load a mesh, with the names of bodies and faces.
@@ -158,7 +135,8 @@ def read_gmsh(
 
     Args:
         path: a file `.step`, `.stp`, `.brep`, `.iges`, `.igs`, `.geo` or `.msh`; or `gmsh.model` of
-            the first rank's session; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo`
+            the first rank's session, whose curved surfaces are then known, as those of `.geo` and
+            CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo`
             and `.msh` files all cells, and all facets with tags, are in physical groups. Of CAD
             files, and of a `gmsh.model` without groups, each body and each face has a tag, and its
             label in the file as name; without label `body 1`, and `body 1/2` for its second face.
@@ -169,8 +147,6 @@ def read_gmsh(
             and curved faces have at least 24 cells round a turn. A `.geo` file has it as parameter.
         unit: unit of length of the mesh of a STEP or IGES file, which names its own unit: "mm",
             "m", "in" ...
-        geometry: CAD file from which a mesh without geometry was made. `.geo` and CAD files, and
-            the model of the present session of Gmsh, have it already.
         **parameters: values of names that a `.geo` file declares with `DefineConstant`.
 
     Returns:
@@ -178,8 +154,8 @@ def read_gmsh(
 
     Raises:
         InputError: the suffix or the unit is unknown; a parameter is unknown, is not a finite
-            number, or is overwritten by the file; a file that is not `.geo` has parameters; facets
-            do not lie on the faces of `geometry`; or an argument has a wrong type.
+            number, or is overwritten by the file; a file that is not `.geo` has parameters; or an
+            argument has a wrong type.
         MeshError: the file does not exist or has an error; it has no body, or faces of no body; two
             bodies share a face; or a file with groups has none of cells or none of facets.
 
@@ -195,22 +171,25 @@ def read_gmsh(
             f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
         )
     if isinstance(path, tuple):
-        return _of_mesh_data(path, comm, geometry, unit)
+        return _of_mesh_data(path)
     with ExitStack() as session:
         model, content = None, None
         with errors_on_all_ranks(comm):
             if comm.rank == 0:
                 gmsh = session.enter_context(gmsh_session())
                 model, content = gmsh.model, _meshed(comm, gmsh, path, size, unit, parameters)
-        tags, names, cell_names, in_file, cad_geometry = comm.bcast(content, root=0)
+        tags, names, cell_names, in_file, geometry = comm.bcast(content, root=0)
         mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
     owned = mesh.topology.index_map(facet_tags.dim).size_local
     for tag, count in in_file.items():
         read_count = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
         _check_facets_of_cells(path, names, tag, count - read_count, count)
-    return _tagged(
-        mesh, cell_tags, facet_tags, tags, (names, cell_names), geometry, cad_geometry, unit
-    )
+    if geometry is None:
+        log(comm, "curved surfaces are not known: gaps follow from the nodes and their normals")
+    elif not geometry.curved:
+        geometry = None
+    cells = NamedTags(cell_tags, cell_names)
+    return TaggedMesh(mesh, cells, NamedTags(facet_tags, names, cells, geometry), tags, geometry)
 
 
 def _meshed(
@@ -240,19 +219,19 @@ def _meshed(
     _mesh(gmsh, source, size)
     tags, names, cell_names = _physical_groups(gmsh, source)
     in_file = _checked_facets(gmsh, source, names)
-    cad_geometry: GmshGeometry | None = None
+    geometry: GmshGeometry | None = None
     if suffix in (".geo", *CAD_SUFFIXES):
-        cad_geometry = GmshGeometry.from_open_file(gmsh, source, parameters, unit)
-    elif not is_file and (shapes := shapes_of(gmsh)):
-        cad_geometry = GmshGeometry(source, {}, {}, content=shapes)
-    return tags, names, cell_names, in_file, cad_geometry
+        geometry = GmshGeometry.from_open_file(gmsh, source, parameters, unit)
+    elif not is_file:
+        geometry = GmshGeometry.from_shapes(gmsh)
+    return tags, names, cell_names, in_file, geometry
 
 
-def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: str) -> TaggedMesh:
-    """Return the result of `dolfinx.io.gmsh.model_to_mesh` with names and geometry. Collective.
+def _of_mesh_data(data: Any) -> TaggedMesh:
+    """Return the result of `dolfinx.io.gmsh.model_to_mesh` with the names of its tags.
 
     Raises:
-        InputError: the data have no tags of cells or of facets, or their geometry is wrong.
+        InputError: the data have no tags of cells or of facets.
     """
     mesh, cell_tags, facet_tags = data[:3]
     if not isinstance(cell_tags, MeshTags) or not isinstance(facet_tags, MeshTags):
@@ -260,55 +239,13 @@ def _of_mesh_data(data: Any, comm: MPI.Comm, geometry: str | Path | None, unit: 
             "the result of model_to_mesh must have tags of cells and of facets: put the bodies and "
             "their surfaces into physical groups."
         )
-    names: dict[int, dict[int, str]] = {0: {}, 1: {}}
     tags: dict[str, int] = {}
+    names: dict[int, dict[int, str]] = {cell_tags.dim: {}, facet_tags.dim: {}}
     for name, (dim, tag) in getattr(data, "physical_groups", {}).items():
-        below = mesh.topology.dim - dim
-        if below in names:
-            names[below][tag], tags[name] = name, tag
-    with errors_on_all_ranks(comm):
-        gmsh = sys.modules.get("gmsh")
-        content = shapes_of(gmsh) if gmsh is not None and gmsh.isInitialized() else None
-    content = comm.bcast(content, root=0)
-    cad_geometry = GmshGeometry(Path("gmsh.model"), {}, {}, content=content) if content else None
-    return _tagged(
-        mesh, cell_tags, facet_tags, tags, (names[1], names[0]), geometry, cad_geometry, unit
-    )
-
-
-def _tagged(
-    mesh: Any,
-    cell_tags: MeshTags,
-    facet_tags: MeshTags,
-    tags: dict[str, int],
-    names: tuple[dict[int, str], dict[int, str]],
-    file: str | Path | None,
-    cad_geometry: GmshGeometry | None,
-    unit: str,
-) -> TaggedMesh:
-    """Return the mesh with names (of facets and cells) and geometry. Collective.
-
-    The geometry is that of the user's CAD file if there is one.
-
-    Raises:
-        InputError: facets do not lie on the faces of the user's file.
-        MeshError: there is no such file, or Gmsh cannot read it.
-    """
-    if file is not None:
-        cad_geometry = GmshGeometry(Path(file).resolve(), {}, {}, unit)
-    if cad_geometry is None:
-        log(mesh.comm, "the mesh has no geometry: for exact curved surfaces give geometry=")
-    elif file is not None or cad_geometry.content is not None:
-        cad_geometry, off = cad_geometry.matched(mesh, facet_tags)
-        if off and file is not None:
-            raise InputError(
-                f"facets of {len(off)} surfaces do not lie on faces of '{file}', such as those of "
-                f"{names[0].get(off[0], off[0])}. Give the CAD file from which the mesh was made, "
-                f"and its unit of length in the mesh (unit is {unit})."
-            )
-    cells = NamedTags(cell_tags, names[1])
-    facets = NamedTags(facet_tags, names[0], cells, cad_geometry)
-    return TaggedMesh(mesh, cells, facets, tags, cad_geometry)
+        if dim in names:
+            names[dim][tag], tags[name] = name, tag
+    cells = NamedTags(cell_tags, names[cell_tags.dim])
+    return TaggedMesh(mesh, cells, NamedTags(facet_tags, names[facet_tags.dim], cells), tags)
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:

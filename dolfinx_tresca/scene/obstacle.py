@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
-from dolfinx_tresca.scene.user_fields import checked_positive, checked_vector, real_array
+from dolfinx_tresca.scene.user_fields import numbers_text
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
@@ -353,7 +354,7 @@ class RigidPlane(RigidObstacle):
 
         super().__init__(
             distance,
-            f"a rigid plane through {_vector_text(p())} with normal {_vector_text(n())}",
+            f"a rigid plane through {numbers_text(p())} with normal {numbers_text(n())}",
             _constants_of(point, normal),
         )
         self.centre = p()
@@ -389,12 +390,12 @@ class RigidSphere(RigidObstacle):
         """
         c, r = (
             _present(_coordinates, "center", center),
-            _present(checked_positive, "radius", radius),
+            _present(checked_number, "radius", radius),
         )
         kind = "hollow sphere" if hollow else "sphere"
         super().__init__(
             lambda x: _spherical_distance(x - c()[:, None], r(), hollow),
-            f"a rigid {kind} around {_vector_text(c())} of radius {r():g}",
+            f"a rigid {kind} around {numbers_text(c())} of radius {r():g}",
             _constants_of(center, radius),
         )
         self.centre = c()
@@ -439,7 +440,7 @@ class RigidCylinder(RigidObstacle):
                 "cylinder is a disc, RigidSphere(center, radius)."
             )
         p, a = _present(_coordinates, "point", point), _present(_direction, "axis", axis)
-        r = _present(checked_positive, "radius", radius)
+        r = _present(checked_number, "radius", radius)
 
         def distance(x: Array) -> tuple[Array, Array]:
             offset, along = x - p()[:, None], a()
@@ -447,8 +448,8 @@ class RigidCylinder(RigidObstacle):
 
         super().__init__(
             distance,
-            f"a rigid {'hollow ' if hollow else ''}cylinder through {_vector_text(p())} "
-            f"along {_vector_text(a())} of radius {r():g}",
+            f"a rigid {'hollow ' if hollow else ''}cylinder through {numbers_text(p())} "
+            f"along {numbers_text(a())} of radius {r():g}",
             _constants_of(point, axis, radius),
         )
         self.centre = p()
@@ -526,7 +527,3 @@ def _direction(name: str, value: npt.ArrayLike) -> Array:
     vector = _coordinates(name, value, nonzero=True)
     vector /= np.abs(vector).max()
     return np.asarray(vector / np.linalg.norm(vector))
-
-
-def _vector_text(vector: Array) -> str:
-    return "(" + ", ".join(f"{value:g}" for value in vector) + ")"

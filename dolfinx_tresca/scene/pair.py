@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
+from dolfinx_tresca._base.arguments import check_word, checked_number
 from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -19,12 +20,7 @@ from dolfinx_tresca.scene.friction import Bonded, Friction, Preload
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.user_fields import (
-    ScalarField,
-    check_scalar_field,
-    check_word,
-    checked_positive,
-)
+from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
@@ -153,7 +149,7 @@ class ContactPair:
             )
         check_word("pairing", self.pairing, get_args(Pairing))
         if self.search_distance is not None:
-            distance = checked_positive("search_distance", self.search_distance, math.inf)
+            distance = checked_number("search_distance", self.search_distance, "(0, inf]")
             object.__setattr__(self, "search_distance", distance)
         check_geometry(self.geometry)
         check_word("sliding", self.sliding, get_args(Sliding))

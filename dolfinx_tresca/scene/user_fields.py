@@ -1,4 +1,4 @@
-"""Numbers, vectors and fields given by the user: types, checks and descriptions."""
+"""Scalar and vector fields given by the user: types, checks and descriptions."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 import ufl
 from dolfinx import fem
 from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuantity
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca.errors import InputError, shown
 
 #: A scalar on the contact surface; the Constants and Functions in it may be changed in place.
@@ -28,62 +27,6 @@ ScalarField: TypeAlias = (
 VectorField: TypeAlias = (
     "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )
-
-LARGEST = float(np.finfo(np.float64).max)  #: the largest finite number
-
-
-def real_array(value: npt.ArrayLike) -> Array:
-    """Return a value as an array of floats.
-
-    Raises:
-        TypeError: the value holds objects other than real numbers.
-        ValueError: its rows have different lengths.
-    """
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf":
-        raise TypeError(f"expected real numbers, found {array.dtype}")
-    return array.astype(np.float64)
-
-
-def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) -> Array:
-    """Return a vector of finite numbers, of one of some sizes.
-
-    Raises:
-        InputError: the value is no such vector, or it is zero and `nonzero`.
-    """
-    try:
-        vector = real_array(value)
-    except (TypeError, ValueError):
-        vector = np.full(1, np.nan)
-    if vector.ndim != 1 or len(vector) not in sizes or not np.isfinite(vector).all():
-        numbers = " or ".join(map(str, sizes))
-        raise InputError(f"{name} must be {numbers} finite numbers, found {shown(value)}.")
-    if nonzero and not vector.any():
-        raise InputError(f"{name} must have a direction, found {shown(value)}.")
-    return vector
-
-
-def checked_positive(name: str, value: Any, largest: float = LARGEST) -> float:
-    """Return a positive number that is not larger than another one; by default all are finite.
-
-    Raises:
-        InputError: the value is no such number.
-    """
-    number = real(value)
-    if number is None or not 0.0 < number <= largest:
-        raise InputError(f"{name} must be a positive number, found {shown(value)}.")
-    return number
-
-
-def check_word(name: str, value: Any, choices: Sequence[str]) -> None:
-    """Check that a value is one of several words.
-
-    Raises:
-        InputError: it is none of them.
-    """
-    if not isinstance(value, str) or value not in choices:
-        raise InputError(f"{name} must be one of {', '.join(choices)}, found {shown(value)}.")
-
 
 _CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or project it there."
 
@@ -179,15 +122,15 @@ def field_text(value: ScalarField | VectorField) -> str:
     if isinstance(value, fem.Function):
         return f"Function '{value.name}'"
     if isinstance(value, fem.Constant):
-        return f"Constant, now {_numbers_text(value.value)}"
+        return f"Constant, now {numbers_text(value.value)}"
     if isinstance(value, fem.Expression):
         value = value.ufl_expression
     if isinstance(value, Expr):  # UFL's text of vectors has free indices, which nobody can read
         return _text(value) if value.ufl_shape == () else "an expression"
-    return "a function of points" if callable(value) else _numbers_text(value)
+    return "a function of points" if callable(value) else numbers_text(value)
 
 
-def _numbers_text(value: Any) -> str:
+def numbers_text(value: Any) -> str:
     """Return the text of a number, or of the components of a vector."""
     if np.ndim(value) == 0:
         return f"{float(value):g}"

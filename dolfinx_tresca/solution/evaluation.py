@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import Bodies
-from dolfinx_tresca._base.functions import zero_like
+from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.mesh_error import total
@@ -23,8 +23,8 @@ from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields, contact_states
 from dolfinx_tresca.solution.forces import (
     Resultant,
-    centre_of_forces,
     forces_on_secondary,
+    nodal_resultants,
     resultants_between,
     resultants_on,
     shares_of_bodies,
@@ -221,7 +221,8 @@ def evaluate(
     cells = dual.compliance.estimator.cell_errors(deformation) if estimate else None
     force_on_nodes = _contact_force(B, solution.multipliers)
     displaced = u if B.frames is not None or B.system.is_tangent else None
-    on_bodies = _on_bodies(force_on_nodes, displaced, bodies)
+    nodal = owned_values(force_on_nodes)
+    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
     evaluation = Evaluation(
         u=u,
         w=w,
@@ -355,24 +356,3 @@ def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
     force.x.array[: len(owned)] = -owned if B.frames is None else -B.frames.into_space(owned)
     force.x.scatter_forward()
     return B.system.displacement(force, "contact_force")
-
-
-def _on_bodies(
-    contact_force: fem.Function, displaced: fem.Function | None, bodies: Bodies
-) -> tuple[Resultant, ...]:
-    """Return the resultants of all contact forces on each body. Collective.
-
-    Args:
-        contact_force: contact forces on the nodes [force].
-        displaced: displacement [length] of the nodes on which the forces act; None: the forces act
-            on the undeformed bodies, as in linear theory.
-        bodies: bodies of the mesh.
-    """
-    V = contact_force.function_space
-    dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-    forces = contact_force.x.array.reshape(-1, dim)[:owned]
-    points = V.tabulate_dof_coordinates()[:owned, :dim]
-    if displaced is not None:
-        points = points + displaced.x.array.reshape(-1, dim)[:owned]
-    centre = centre_of_forces(V.mesh.comm, points, forces)
-    return resultants_on(V.mesh.comm, [(points, forces, bodies.label)], bodies.number, centre)

@@ -123,9 +123,7 @@ class SurfaceFields:
 
     def __repr__(self) -> str:
         names = ", ".join(function.name for function in self.functions)
-        index_map = self.state.function_space.dofmap.index_map
-        carries = self.state.x.array[: index_map.size_local] > ContactState.OUTSIDE
-        return f"<SurfaceFields of {self.name}: {names}; {carries.sum()} nodes of this rank>"
+        return f"<SurfaceFields of {self.name}: {names}>"
 
     @property
     def points(self) -> Array:
@@ -332,14 +330,11 @@ def contact_states(
     """
     if operators.bonded:
         return np.full(len(pressed), float(ContactState.BONDED))
-    closed: Array = np.full(len(pressed), float(ContactState.PRESSED))
-    opened: Array = np.full(len(pressed), float(ContactState.OPEN))
-    if has_friction:
-        closed = np.where(sticking, float(ContactState.STICK), float(ContactState.SLIP))
-        opened[rubbing] = np.where(sticking, ContactState.OPEN_STICK, ContactState.OPEN_SLIP)[
-            rubbing
-        ]
-    return np.where(pressed, closed, opened)
+    if not has_friction:
+        return np.where(pressed, float(ContactState.PRESSED), float(ContactState.OPEN))
+    closed = np.where(sticking, ContactState.STICK, ContactState.SLIP)
+    opened = np.where(sticking, ContactState.OPEN_STICK, ContactState.OPEN_SLIP)
+    return np.where(pressed, closed, np.where(rubbing, opened, ContactState.OPEN)).astype(float)
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:

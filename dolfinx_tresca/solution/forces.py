@@ -14,14 +14,14 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.arguments import checked_vector
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs
-from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_values
+from dolfinx_tresca._base.functions import assembled, owned_values
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.user_fields import checked_vector
 from dolfinx_tresca.stiffness.frames import BodyFrames
 
 
@@ -105,6 +105,28 @@ def resultants_on(
     np.add.at(sums, index, both)
     dim = forces.shape[1]
     return tuple(Resultant(row[:dim], row[dim:], point) for row in reduce_array(comm, sums))
+
+
+def nodal_resultants(
+    V: Any, forces: Array, displaced: fem.Function | None, index: Indices, number: int
+) -> tuple[Resultant, ...]:
+    """Return resultants of nodal forces, about the `centre_of_forces`. Collective.
+
+    Args:
+        V: the space of the displacement.
+        forces: (n d,) forces at the degrees of freedom that this rank owns.
+        displaced: displacement [length] of the nodes on which the forces act; None: the forces act
+            on the undeformed bodies, as in linear theory.
+        index: (n,) the index of the resultant to which the force of each node belongs.
+        number: number of resultants.
+    """
+    comm, dim = V.mesh.comm, V.mesh.geometry.dim
+    rows = forces.reshape(-1, dim)
+    places = V.tabulate_dof_coordinates()[: len(rows), :dim]
+    if displaced is not None:
+        places = places + owned_values(displaced)
+    centre = centre_of_forces(comm, places, rows)
+    return resultants_on(comm, [(places, rows, index)], number, centre)
 
 
 def forces_on_secondary(operators: PairOperators, pressure: Array, traction: Array) -> Array:
@@ -249,7 +271,6 @@ class Supports:
             ContactError: loads or coefficients have changed since the solution.
         """
         V, u = self.contact_force.function_space, self.u
-        comm, dim = V.mesh.comm, V.mesh.geometry.dim
         if u.function_space.element != V.element:
             raise InputError(
                 "reaction() needs forms of the displacement alone, not of a mixed space."
@@ -262,7 +283,7 @@ class Supports:
         forces -= self.contact_force.x.array[: len(forces)]
         sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~self.prescribed, slice(None))]
         sizes.append(np.abs(self.contact_force.x.array).max(initial=0.0))
-        unbalanced, *largest = reduce_array(comm, sizes, MPI.MAX)
+        unbalanced, *largest = reduce_array(V.mesh.comm, sizes, MPI.MAX)
         # solutions of the default accuracy leave less than a hundredth of this
         if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding(residual):
             raise ContactError(
@@ -270,46 +291,13 @@ class Supports:
                 f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
                 "the largest force. Call solve() before reaction()."
             )
-        held, springs = self._held_and_springs(where)
+        held, springs = self._held_and_springs(where, residual)
         forces = np.where(held, forces, 0.0)
         if springs:
-            forces -= self._at_nodes(springs(ufl.TestFunction(V)))
-        rows = forces.reshape(-1, dim)
-        places = V.tabulate_dof_coordinates()[: len(rows), :dim]
-        if moved is not None:
-            places = places + moved.x.array[: len(forces)].reshape(-1, dim)
-        centre = centre_of_forces(comm, places, rows)
-        index = np.zeros(len(rows), dtype=np.intp)
-        (result,) = resultants_on(comm, [(places, rows, index)], 1, centre)
+            forces -= self._at_nodes(springs)
+        index = np.zeros(V.dofmap.index_map.size_local, dtype=np.intp)
+        (result,) = nodal_resultants(V, forces, moved, index, 1)
         return result if point is None else result.about(point)
-
-    def reaction_form(self, where: Any, direction: npt.ArrayLike) -> Any:
-        """Return a component of a support's force as a form of rank 0 that depends on u.
-
-        The form is the residual R(u; z), where z is the direction at the nodes that the support
-        holds, and zero at all others. Collective.
-
-        Args:
-            where: see `reaction`.
-            direction: (d,) vector by which the force is multiplied.
-
-        Raises:
-            InputError: see `reaction`; the direction is no vector, or contact acts on held nodes.
-        """
-        V = self.contact_force.function_space
-        dim = V.mesh.geometry.dim
-        along = checked_vector("direction", direction, dim)
-        held, springs = self._held_and_springs(where)
-        pressed = np.abs(self.contact_force.x.array[: len(held)][held]).max(initial=0.0)
-        if reduce_array(V.mesh.comm, pressed, MPI.MAX) > 0.0:
-            raise InputError("contact acts on nodes of the support: their share is in no form.")
-        everywhere = fem.Function(V)
-        everywhere.x.array.reshape(-1, dim)[:] = along
-        at_support = with_owned_values(
-            V, np.where(held, everywhere.x.array[: len(held)], 0.0).reshape(-1, dim)
-        )
-        form = self.forms.residual(at_support)
-        return form - springs(everywhere) if springs else form
 
     def _at_nodes(self, form: Any) -> Array:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
@@ -331,30 +319,23 @@ class Supports:
         largest = reduce_array(u.function_space.mesh.comm, np.abs(forces).max(initial=0.0), MPI.MAX)
         return 1e-10 * float(largest)
 
-    def _held_and_springs(self, where: Any) -> tuple[Mask, Callable[[Any], Any] | None]:
+    def _held_and_springs(self, where: Any, residual: ufl.Form) -> tuple[Mask, ufl.Form | None]:
         """Return the nodes that a support holds, and its springs. Collective.
 
         Args:
             where: see `reaction`.
+            residual: the residual of the forms, with a test function.
 
         Returns:
-            (owned dofs,) whether the support holds the degree of freedom; and function (z) -> the
-            work of its springs with z, a form; None if it has no springs.
+            (owned dofs,) whether the support holds the degree of freedom; and the terms of its
+            springs in the residual, None if it has no springs.
+
+        Raises:
+            InputError: see `reaction`.
         """
         forms, V = self.forms, self.contact_force.function_space
         held = np.zeros(len(self.prescribed), dtype=np.bool_)
-        tag = integer(where)
-
-        def springs(z: Any) -> Any:
-            integrals = [
-                integral.reconstruct(subdomain_id=tag)
-                for integral in forms.residual(z).integrals()
-                if integral.integral_type() == "exterior_facet"
-                and tag in np.atleast_1d(integral.subdomain_id())
-                and self.u in ufl.algorithms.extract_coefficients(integral.integrand())
-            ]
-            return ufl.Form(integrals) if integrals else None
-
+        tag, springs = integer(where), []
         if tag is None:
             if not any(where is bc for bc in forms.bcs):
                 raise InputError(
@@ -369,10 +350,16 @@ class Supports:
             nodes = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
             nodes = nodes[nodes < V.dofmap.index_map.size_local]
             held.reshape(-1, V.dofmap.bs)[nodes] = True
+            springs = [
+                integral.reconstruct(subdomain_id=tag)
+                for integral in residual.integrals()
+                if integral.integral_type() == "exterior_facet"
+                and tag in np.atleast_1d(integral.subdomain_id())
+                and self.u in ufl.algorithms.extract_coefficients(integral.integrand())
+            ]
         held &= self.prescribed
-        has_springs = tag is not None and springs(ufl.TestFunction(V)) is not None
-        if not has_springs and not reduce_array(V.mesh.comm, int(held.sum())):
+        if not springs and not reduce_array(V.mesh.comm, int(held.sum())):
             raise InputError(
                 f"nothing holds the bodies at {shown(where)}: no condition and no spring."
             )
-        return held, springs if has_springs else None
+        return held, ufl.Form(springs) if springs else None

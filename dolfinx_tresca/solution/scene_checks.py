@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -103,7 +102,7 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
     advice = dict.fromkeys(departure.advice for departure in told)
     text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
     if not comm.bcast(bool(outside)):
-        log(comm, "near the end of linear theory: %s", text, level=logging.WARNING)
+        warn(comm, "near the end of linear theory: %s", text)
         return ""
     return str(comm.bcast(text))
 
@@ -294,21 +293,19 @@ def hint_at_scene(
             thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
             alike = np.array_equal(secondary, primary) and secondary.sum() == 1
             if alike and not pair.touches_itself:
-                log(
+                warn(
                     comm,
                     "both sides of %s are on body %d: it touches itself. If these should be two "
                     "bodies, they share nodes: mesh them without merging nodes",
                     *(pair, 1 + int(secondary.argmax())),
-                    level=logging.WARNING,
                 )
         depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
         if depth >= thinnest:
-            log(
+            warn(
                 comm,
                 "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
                 "bodies where they should be, and the tags on the sides that face each other?",
                 *(pair, depth),
-                level=logging.WARNING,
             )
 
 
@@ -342,7 +339,7 @@ def hint_at_overlap(
         # the least of all equally deep points: the same with any number of ranks
         deepest_points = points[paired.nodes[depth >= deepest - rounding]]
         place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
-        log(
+        warn(
             comm,
             "%s overlaps by up to %.3g, at (%s): Dirichlet conditions prescribe the displacement "
             "along the normal at %d nodes of the secondary side, which so have no pressure to hold "
@@ -350,7 +347,6 @@ def hint_at_overlap(
             "side",
             *(pair, deepest, ", ".join(f"{x:.4g}" for x in place), number),
             about=str(pair),
-            level=logging.WARNING,
         )
 
 
@@ -380,20 +376,18 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     least = [by_pressure.min(initial=0.0), compliance * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
     if falling < 0.0:
-        log(
+        warn(
             comm,
             "the slip bound F(p, v) p of a contact pair decreases with the pressure at slipping "
             "nodes, by up to %.3g for each unit of pressure: there may be several solutions",
             -falling,
-            level=logging.WARNING,
         )
     if weakening < -1.0:
-        log(
+        warn(
             comm,
             "the slip bound of a contact pair decreases with the slip up to %.3g times as fast as "
             "elastic tractions do: there may be several solutions, and sliding may begin suddenly",
             -weakening,
-            level=logging.WARNING,
         )
 
 

@@ -13,10 +13,10 @@ import numpy as np
 import dolfinx.fem.petsc
 from dolfinx import fem
 
+from dolfinx_tresca._base.arguments import check_word
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.scene.user_fields import check_word
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 
 #: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than

@@ -40,9 +40,6 @@ def test_disk_error_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot write '.*r\.png': No space left"):
         with atomic_write(path):
             raise OSError(28, "No space left on device")
-    with pytest.raises(InputError, match=r"cannot write '.*r\.png'"):
-        with atomic_write(path, room=2**62):
-            raise AssertionError("there is room for 4 exabytes")
     assert not list(tmp_path.iterdir())
 
 

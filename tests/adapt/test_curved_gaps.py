@@ -50,11 +50,14 @@ def on_cylinder(radius):
 SURFACES = {"plate_contact": on_cylinder(RADIUS), "pin_contact": on_cylinder(RADIUS + INTERFERENCE)}
 
 
-def press_fit(comm, *, snap=SURFACES):
+def press_fit(comm, *, of_gmsh=False):
     fit = read_gmsh(
         MESHES / "press_fit.geo", comm, N=CELLS, M=4, Hex=0, Thickness=8, Interference=INTERFERENCE
     )
-    return refine(fit, near(fit, [7, 7, 0]) ** 0.05, 0.4, snap=snap)
+    if not of_gmsh:
+        geometry = {fit.tags[name]: function for name, function in SURFACES.items()}
+        fit = dataclasses.replace(fit, geometry=geometry)
+    return refine(fit, near(fit, [7, 7, 0]) ** 0.05, 0.4)
 
 
 def paired(fit, pair, *, degree=1):
@@ -93,15 +96,14 @@ def test_a_press_fit_keeps_its_interference(comm, names):
 @pytest.mark.parametrize("of_gmsh", [True, False])
 def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
     """To a hundredth of the interference, and of what Gmsh's own kernel takes for nearest."""
-    fit = press_fit(comm, snap=None if of_gmsh else SURFACES)
-    geometry = {fit.tags[name]: function for name, function in SURFACES.items()}
+    fit = press_fit(comm, of_gmsh=of_gmsh)
     secondary, primary = (fit.tags[f"{name}_contact"] for name in names)
     pair = ContactPair(
         fit.facet_tags,
         secondary,
         primary,
         Frictionless(),
-        geometry=fit.geometry if of_gmsh else geometry,
+        geometry=fit.geometry,
     )
     assert (
         error_of_gaps(paired(fit, pair, degree=degree)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
@@ -113,12 +115,9 @@ def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
 @pytest.mark.parametrize("of_gmsh", [True, False])
 def test_each_tag_of_a_list_has_its_own_geometry(comm, names, of_gmsh):
     """The interference of one declaration for both bodies is that of the two cylinders."""
-    fit = press_fit(comm, snap=None if of_gmsh else SURFACES)
-    geometry = {fit.tags[name]: function for name, function in SURFACES.items()}
+    fit = press_fit(comm, of_gmsh=of_gmsh)
     tags = [fit.tags[f"{name}_contact"] for name in names]
-    pair = ContactPair(
-        fit.facet_tags, tags, tags, Frictionless(), geometry=fit.geometry if of_gmsh else geometry
-    )
+    pair = ContactPair(fit.facet_tags, tags, tags, Frictionless(), geometry=fit.geometry)
     pair = dataclasses.replace(pair, name="a copy of the pair")
     assert error_of_gaps(paired(fit, pair)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 from test_refinement import half_disc, near, nodes_of
 
 from dolfinx_tresca import MESHES, InputError, MeshError, read_gmsh, refine
+from dolfinx_tresca.scene.geometry import open_geometry
 
 #: Of Gmsh's projections, absolute; sizes are about 1.
 ROUNDING = 1e-8
@@ -49,7 +52,7 @@ def test_a_sphere_of_open_cascade(comm):
 
 @pytest.mark.parallel
 def test_cylinders_with_parameters_of_their_own(comm):
-    """Their edges stay in the planes that they end in; a function of the user comes first."""
+    """Their edges stay in the planes that they end in; without geometry nodes stay on chords."""
     fit = read_gmsh(
         MESHES / "press_fit.geo", comm, N=4, M=4, Hex=0, Radius=8, Rim=12, Support=10, Thickness=4
     )
@@ -60,7 +63,7 @@ def test_cylinders_with_parameters_of_their_own(comm):
     low = nodes_of(refined, "plate_contact")[:, 2]
     ends = (low < 1e-3) | (low > 4.0 - 1e-3)
     assert worst(comm, low[ends] * (low[ends] - 4.0)) <= ROUNDING * 4.0**2
-    other = refine(fit, near(fit, [5, 5, 0]) ** 0.1, snap={})
+    other = refine(replace(fit, geometry=None), near(fit, [5, 5, 0]) ** 0.1)
     x = nodes_of(other, "plate_contact")
     assert worst(comm, np.hypot(x[:, 0], x[:, 1]) - 8.0) > 1e-2
 
@@ -72,7 +75,7 @@ def test_a_file_that_is_gone(comm, tmp_path):
     file.unlink()
     with pytest.raises(MeshError, match="there is no file"):
         refine(tagged, near(tagged, [0, 0, 0]))
-    refine(tagged, near(tagged, [0, 0, 0]), snap={})
+    refine(replace(tagged, geometry=None), near(tagged, [0, 0, 0]))
 
 
 @pytest.mark.parallel
@@ -82,7 +85,7 @@ def test_a_mesh_that_was_moved(comm):
     errors = near(tagged, [0, 0, 0])
     with pytest.raises(InputError, match="moved or scaled"):
         refine(tagged, errors)
-    refine(tagged, errors, snap={})
+    refine(replace(tagged, geometry=None), errors)
 
 
 def test_a_face_that_goes_on_flat(comm, tmp_path):
@@ -97,6 +100,6 @@ def test_a_face_that_goes_on_flat(comm, tmp_path):
     )
     tagged = read_gmsh(geo, comm)
     x = nodes_of(tagged, "face")
-    with tagged.geometry.projections() as projections:
-        moved = projections[tagged.tags["face"]](x.T)
+    with open_geometry(tagged.geometry) as surfaces:
+        moved = surfaces[tagged.tags["face"]].project(x.T)
     assert worst(comm, moved - x.T) <= ROUNDING

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -18,6 +19,8 @@ from dolfinx import fem
 from dolfinx_tresca import MESHES, InputError, TaggedMesh, read_gmsh, refine
 from dolfinx_tresca._base.compat import geometry_dofmap
 from scenes.scene import EPS
+
+TOP = 5  #: tag of the top of `square`
 
 
 def middles(tagged: TaggedMesh) -> np.ndarray:
@@ -174,15 +177,15 @@ def nodes_of(tagged: TaggedMesh, name: str) -> np.ndarray:
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize("key", ["upper_contact", 11])
-def test_nodes_of_a_snapped_sphere_are_on_it(comm, key):
+def test_nodes_of_a_snapped_sphere_are_on_it(comm):
     tagged = read_gmsh(MESHES / "sphere_octant.geo", comm, h=0.15, Zone=0.3, Growth=0.6)
-    plain = refine(tagged, near(tagged, [0, 0, 0]), snap={})
+    plain = refine(replace(tagged, geometry=None), near(tagged, [0, 0, 0]))
     centre = np.array([0.0, 0.0, 1.0])
     off = np.abs(np.linalg.norm(nodes_of(plain, "upper_contact") - centre, axis=1) - 1.0)
     assert comm.allreduce(off.max(initial=0.0), op=MPI.MAX) > 1e-4
+    tagged = replace(tagged, geometry={tagged.tags["upper_contact"]: on_ball})
     for _ in range(2):
-        tagged = refine(tagged, near(tagged, [0, 0, 0]), snap={key: on_ball})
+        tagged = refine(tagged, near(tagged, [0, 0, 0]))
         off = np.abs(np.linalg.norm(nodes_of(tagged, "upper_contact") - centre, axis=1) - 1.0)
         assert off.max(initial=0.0) <= 32 * EPS  # of coordinates up to 2
         # nodes in the planes of symmetry stay there: their areas differ by slivers at the sphere
@@ -199,7 +202,8 @@ def test_cells_that_would_turn_inside_out_keep_their_nodes(comm, caplog):
         return np.stack([x[0], 1.0 - 0.9 * np.exp(-50.0 * (x[0] - 0.25) ** 2), x[2]])
 
     with caplog.at_level("WARNING"):
-        refined = refine(before, np.ones(len(middles(before))), snap={"top": sagging})
+        known = replace(before, geometry={before.tags["top"]: sagging})
+        refined = refine(known, np.ones(len(middles(before))))
     if comm.rank == 0:
         assert "nodes were not moved to their curved surface" in logged(caplog)
     x = refined.mesh.geometry.x[geometry_dofmap(refined.mesh)]
@@ -219,14 +223,12 @@ FAULTS = {
     "fraction 2": (None, {"fraction": 2}, r"in \(0, 1\], found 2"),
     "fraction nan": (None, {"fraction": np.nan}, r"in \(0, 1\], found nan"),
     "fraction word": (None, {"fraction": "half"}, r"in \(0, 1\], found 'half'"),
-    "snap": (None, {"snap": on_ball}, "snap must be such as"),
-    "snap name": (None, {"snap": {"tip": on_ball}}, "no tag's name: 'tip'; the names are left"),
-    "snap number": (None, {"snap": {17: on_ball}}, "none has the tag 17"),
-    "snap cells": (None, {"snap": {"left": on_ball}}, "none has the tag left"),
-    "snap key": (None, {"snap": {None: on_ball}}, "no tag's name: None"),
-    "snap value": (None, {"snap": {"top": 1.0}}, r"snap\['top'\] must be a function"),
-    "snap shape": (None, {"snap": {"top": lambda x: x[:2]}}, r"real points of shape \(3, "),
-    "snap nan": (None, {"snap": {"top": lambda x: np.nan * x}}, "no finite point next to"),
+    "geometry": (None, {"geometry": on_ball}, "geometry must be read_gmsh"),
+    "geometry name": (None, {"geometry": {"top": on_ball}}, "geometry must be read_gmsh"),
+    "geometry number": (None, {"geometry": {17: on_ball}}, "none has the tag 17"),
+    "geometry value": (None, {"geometry": {TOP: 1.0}}, "geometry must be read_gmsh"),
+    "geometry shape": (None, {"geometry": {TOP: lambda x: x[:2]}}, r"points of shape \(3, "),
+    "geometry nan": (None, {"geometry": {TOP: lambda x: np.nan * x}}, "no finite point next to"),
 }
 
 
@@ -234,7 +236,9 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_named_on_all_ranks(comm, fault):
     errors, options, message = FAULTS[fault]
+    options = dict(options)
     tagged = square(comm)
+    tagged = replace(tagged, geometry=options.pop("geometry", None))
     with pytest.raises(InputError, match=message):
         refine(tagged, (errors or (lambda t: np.ones(len(middles(t)))))(tagged), **options)
 
@@ -252,7 +256,7 @@ def test_what_fails_on_one_rank_fails_on_all(comm):
         raise ZeroDivisionError("of the user's")
 
     with pytest.raises(ZeroDivisionError, match="of the user's"):
-        refine(tagged, np.ones(len(errors)), snap={"top": fails})
+        refine(replace(tagged, geometry={TOP: fails}), np.ones(len(errors)))
 
 
 def test_what_is_no_mesh_with_tags(comm):

@@ -98,12 +98,6 @@ def test_the_table(comm):
     assert f"{result.levels[-1].free_dofs} unknowns" in repr(result)
 
 
-def on_circle(x):
-    """The circle of radius 1 around (0, 1)."""
-    centre = np.array([[0.0], [1.0], [0.0]])
-    return centre + (x - centre) / np.linalg.norm(x - centre, axis=0)
-
-
 @pytest.mark.parallel
 def test_what_ends_it(comm):
     build = cantilever
@@ -195,11 +189,10 @@ FAULTS = {
     "no problem": ({"build": lambda tagged: None}, "must return a ContactProblem, found None"),
     "accuracy": ({"accuracy": 1.5}, r"accuracy must be a number in \(0, 1\), found 1.5"),
     "fraction": ({"fraction": 0}, "fraction must be"),
-    "snap": ({"snap": {"nose": on_circle}}, "no tag's name: 'nose'"),
     "dofs": ({"max_dofs": -1}, "max_dofs must be a positive number, found -1"),
     "levels": ({"max_levels": 0}, "max_levels must be"),
     "half a level": ({"max_levels": 1.5}, "max_levels must be a positive integer, found 1.5"),
-    "no level": ({"max_levels": True}, "max_levels must be a positive number, found True"),
+    "no level": ({"max_levels": True}, "max_levels must be a positive integer, found True"),
     "all": ({"fraction": True}, r"fraction must be a number in \(0, 1\], found True"),
     "after": ({"after": 1}, "after must be a ContactSolution, found 1"),
     "after adaptive": (

@@ -144,7 +144,7 @@ def test_three_balls_carry_a_plate(comm):
     V = fem.functionspace(parts.mesh, ("Lagrange", 1, (3,)))
     clamped = fem.locate_dofs_geometrical(V, lambda x: x[2] < 1e-9)
     plate = RigidPlane(point=(0, 0, 1), normal=(0, 0, -1))
-    pair = ContactPair(parts.facet_tags, parts.outside, plate, Frictionless())
+    pair = ContactPair(parts.facet_tags, list(parts.facet_tags.names), plate, Frictionless())
     bc = fem.dirichletbc(np.zeros(3), clamped, V)
     problem = ContactProblem(elasticity(V, 1000.0, 0.3), None, [pair], [bc])
     rows = np.vstack([np.ones(3), places.T])

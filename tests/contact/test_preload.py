@@ -62,7 +62,9 @@ def joint(comm, force=FORCE, angle=0.0):
     cut = next(pair for pair in pairs if pair.side("secondary").startswith(("body 1", "body 2")))
     members = next(pair for pair in pairs if pair is not cut)
     cut = replace(cut, friction=Preload(force), name="bolt")
-    tops = ContactPair(parts.facet_tags, parts.outside, plate, Bonded(), search_distance=1e-3)
+    tops = ContactPair(
+        parts.facet_tags, list(parts.facet_tags.names), plate, Bonded(), search_distance=1e-3
+    )
     bcs = [fem.dirichletbc(np.zeros(3), base, V)]
     a = elasticity(V, YOUNG, 0.0)
     problem = ContactProblem(a, None, [cut, members, tops], bcs, units=Units("mm", "MPa", "N"))

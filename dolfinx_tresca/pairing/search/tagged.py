@@ -29,7 +29,7 @@ from dolfinx_tresca.scene.geometry import (
     ON_SURFACE,
     Geometry,
     Projection,
-    open_pieces,
+    open_geometry,
     project_points,
 )
 from dolfinx_tresca.scene.pair import ContactPair
@@ -198,13 +198,13 @@ def _offset_sides(
         MeshError: Gmsh cannot read the geometry file any more.
     """
     comm, result = V.mesh.comm, dict(sides)
-    with errors_on_all_ranks(comm), open_pieces(geometry) as surfaces:
+    with errors_on_all_ranks(comm), open_geometry(geometry) as surfaces:
         known_tags = sorted(sides.keys() & surfaces.keys())
         for tag, facets in sides.items() if known_tags else ():
             count = len(lagrange_points(facets.cell, OFFSET_DEGREE))
             offsets: Array = np.full((len(facets.points), count, 3), np.nan)
             if tag in known_tags:
-                offsets = _offsets(facets, tag, surfaces[tag], V.mesh.geometry.dim)
+                offsets = _offsets(facets, tag, surfaces[tag].pieces, V.mesh.geometry.dim)
             result[tag] = replace(facets, offsets=offsets)
     for tag in known_tags:
         facets = result[tag]

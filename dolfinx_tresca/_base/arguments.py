@@ -1,0 +1,88 @@
+"""Checks of the numbers, vectors and words that users give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx_tresca._base.arrays import Array, integer, real
+from dolfinx_tresca.errors import InputError, shown
+
+#: What error messages call some intervals.
+_IN_WORDS = {
+    "(0, inf)": "a positive number",
+    "(0, inf]": "a positive number",
+    "[0, inf)": "a number of 0 or more",
+    "(-inf, inf)": "a finite number",
+}
+
+
+def checked_number(name: str, value: Any, interval: str = "(0, inf)") -> float:
+    """Return a number in an interval, such as "(0, 1]" for x with 0 < x <= 1.
+
+    Raises:
+        InputError: the value is no such number.
+    """
+    number = real(value)
+    low, high = map(float, interval[1:-1].split(","))
+    is_excluded = {low: interval[0] == "(", high: interval[-1] == ")"}
+    if number is None or not low <= number <= high or is_excluded.get(number, False):
+        wanted = _IN_WORDS.get(interval, f"a number in {interval}")
+        raise InputError(f"{name} must be {wanted}, found {shown(value)}.")
+    return number
+
+
+def checked_positive_integer(name: str, value: Any) -> int:
+    """Return a positive integer.
+
+    Raises:
+        InputError: the value is no such number.
+    """
+    number = integer(value)
+    if number is None or number < 1:
+        raise InputError(f"{name} must be a positive integer, found {shown(value)}.")
+    return number
+
+
+def real_array(value: npt.ArrayLike) -> Array:
+    """Return a value as an array of floats.
+
+    Raises:
+        TypeError: the value holds objects other than real numbers.
+        ValueError: its rows have different lengths.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        raise TypeError(f"expected real numbers, found {array.dtype}")
+    return array.astype(np.float64)
+
+
+def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) -> Array:
+    """Return a vector of finite numbers, whose length is one of the given sizes.
+
+    Raises:
+        InputError: the value is no such vector, or it is zero and `nonzero`.
+    """
+    try:
+        vector = real_array(value)
+    except (TypeError, ValueError):
+        vector = np.full(1, np.nan)
+    if vector.ndim != 1 or len(vector) not in sizes or not np.isfinite(vector).all():
+        numbers = " or ".join(map(str, sizes))
+        raise InputError(f"{name} must be {numbers} finite numbers, found {shown(value)}.")
+    if nonzero and not vector.any():
+        raise InputError(f"{name} must have a direction, found {shown(value)}.")
+    return vector
+
+
+def check_word(name: str, value: Any, choices: Sequence[str]) -> None:
+    """Check that a value is one of several words.
+
+    Raises:
+        InputError: it is none of them.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name} must be one of {', '.join(choices)}, found {shown(value)}.")
