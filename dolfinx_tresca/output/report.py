@@ -94,7 +94,7 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
 
 
 def force_graph(solution: Any) -> str:
-    """Return an SVG with bodies as dots, and the forces between them as lines; "" without forces."""
+    """Return an SVG: bodies as dots, forces between them as lines; "" without forces."""
     names = [*solution.body_names, "rigid obstacles"]
     forces = {bodies: resultant.force for bodies, resultant in solution.between_bodies.items()}
     by_obstacles = [np.array(resultant.force) for resultant in solution.body_resultants]
