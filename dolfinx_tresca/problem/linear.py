@@ -28,7 +28,7 @@ from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.guaranteed.bound import GAIN, Bodies, Candidate, GuaranteedError
 from dolfinx_tresca.guaranteed.goal import Functional, GuaranteedGoal, guaranteed_goal
 from dolfinx_tresca.monitor import Observer
-from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import ContactForce, Goal, NormalForce, checked_goal
@@ -217,15 +217,41 @@ class ContactProblem(ContactProcess):
         self._contact.surfaces.update_stiffness()
 
     @collective(comm_of_self, ignored=("observer",), extra_values=problem_to_agree)
-    def solve(self, *, observer: Observer | None = None, **options: Any) -> ContactSolution:
+    def solve(
+        self,
+        *,
+        observer: Observer | None = None,
+        method: Method | None = None,
+        accuracy: Accuracy | None = None,
+        local_accuracy: float | None = None,
+        mesh_part: float | None = None,
+        rtol: float | None = None,
+        max_iterations: int | None = None,
+        rho_sigma: float | None = None,
+        r_tol: float | None = None,
+        c_fact: float | None = None,
+        geometry_accuracy: float | None = None,
+    ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
+
+        All arguments but `observer` are fields of `SolverOptions`, which explains them. They
+        replace the fields of the problem's `options` in this solve.
 
         Args:
             observer: function that is called before each iteration, on the ranks that give it; see
                 `dolfinx_tresca.ProgressBar`. The solve stops if it returns True on any rank.
-            options: fields of `SolverOptions`, such as `accuracy`, `rtol`, `method` or
-                `max_iterations`. In this solve, they replace the fields of the problem's `options`;
-                `accuracy` alone also replaces an `rtol` of these.
+            method: the algorithm, such as "projected_newton".
+            accuracy: requested bound of the relative energy error; replaces an `rtol` of the
+                problem's `options`, too.
+            local_accuracy: accuracy of nodal values with `accuracy="balanced"`.
+            mesh_part: ratio of the error of the iteration to the error of the mesh with
+                `accuracy="balanced"`.
+            rtol: requested relative residual.
+            max_iterations: limit of the number of outer iterations.
+            rho_sigma: step length times the largest eigenvalue of A.
+            r_tol: ratio of the tolerance of an inner iteration to the outer residual.
+            c_fact: largest ratio of an inner tolerance to the previous one.
+            geometry_accuracy: accuracy of the configuration with finite sliding.
 
         Returns:
             the solution; check its `status`, or call its `raise_if_failed()`.
@@ -235,14 +261,24 @@ class ContactProblem(ContactProcess):
             InputError: an option, a load, a prescribed value or a slip bound is wrong; or nothing
                 holds a body against its loads (the message names the body and its motion).
             StiffnessError: a solve with K failed.
-            TypeError: an option is none of `SolverOptions`.
         """
-        changed = self.options.with_changes(**options)
+        options = self.options.with_changes(
+            method=method,
+            accuracy=accuracy,
+            local_accuracy=local_accuracy,
+            mesh_part=mesh_part,
+            rtol=rtol,
+            max_iterations=max_iterations,
+            rho_sigma=rho_sigma,
+            r_tol=r_tol,
+            c_fact=c_fact,
+            geometry_accuracy=geometry_accuracy,
+        )
         observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
         surfaces = self._contact.surfaces
         surfaces.begin_solve()
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
-        solution = self._contact.checked(solve(self._contact, changed, self.units, observe))
+        solution = self._contact.checked(solve(self._contact, options, self.units, observe))
         if self._contact.linear.outdated:
             log(
                 self.comm,
