@@ -385,11 +385,26 @@ def obstacle_integrals(
             cosine = np.einsum("nqi,nqi->nq", vectors, opposite) / np.linalg.norm(vectors, axis=2)
             faces &= cosine < -FACING_COSINE
         facing: Mask = np.asarray(faces.any(axis=1))
+        # nodes see a hollow obstacle, such as a corner between walls, before all other points do
+        spread = facets.points[:, : facets.corners] - centres[:, None]
+        round_outwards = np.einsum("nci,nci->n", spread, at_corners - at_centres[:, None]) > 0.0
         turns = turned_angles(np.einsum("nci,ni->nc", at_corners, at_centres)) * facing
+        largest = np.zeros(len(nodes.numbers))
+        np.maximum.at(largest, nodes.facet_nodes, turns[:, None])
+        at_node, own_turns = largest[nodes.facet_nodes], np.repeat(surface.turns, facets.corners)
+        normals = contact_normals(
+            surface.corner_normals.reshape(-1, 3),
+            at_corners.reshape(-1, 3),
+            own_turns,
+            at_node.ravel(),
+        )
+        unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
+        normals = unresolved * normals.reshape(at_corners.shape) - (1.0 - unresolved) * at_corners
+        turns *= round_outwards
         distance, height = (array.reshape(facets.nodes.shape) for array in (distance, height))
         hats, values = (facing[:, None, None] * array for array in whole_facet_integrals(facets))
         at_nodes = np.stack([distance - height, height, height], axis=2)
-        means = np.concatenate([values @ at_nodes, hats @ -at_corners], axis=2)
+        means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
         full: Mask = np.ones(len(hats), dtype=np.bool_)
         pairs = np.column_stack([np.arange(len(hats)), np.zeros(len(hats), dtype=np.intp)])
         integrals = FacetIntegrals(hats, values, means, np.zeros(len(hats)), full, pairs, hats)

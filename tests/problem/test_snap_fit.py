@@ -37,7 +37,8 @@ def test_an_edge_that_slides_off_a_corner_snaps(comm):
     """
     path = [0.9, 1.8, 2.7, 3.6, 4.5, 5.4, 6.0, 6.15, 6.6]
     found, steps = forces(snap_fit(comm, Frictionless()), path)
-    assert np.allclose(found[-4:-1], [0.0, -29.1], atol=0.1)
+    assert np.allclose(found[-4:-2], [0.0, -29.1], atol=0.1)
+    assert np.allclose(found[-2], [0.0, -29.1], atol=1.0)  # the edge is near, and no facet as small
     assert found[-1][0] > 10.0  # the steep side of the nose pushes the block out
     assert max(steps) <= 20
 
