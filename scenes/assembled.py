@@ -47,7 +47,7 @@ def dual_program(
             JumpOperator(system, [operators]) as jump,
             ContactCompliance(jump, solver, None) as compliance,
         ):
-            dual = DualProgram(compliance, InitialGuess(jump), bounds)
+            dual = DualProgram(compliance, InitialGuess(np.zeros(len(system.prescribed))), bounds)
             dual.response.solve_load()
             yield dual
 

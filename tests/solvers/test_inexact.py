@@ -26,9 +26,7 @@ class NoisyProblem(DenseProblem):
         self._rng = np.random.default_rng(self.seed)
         self._factor = np.linalg.cholesky(self.A)
 
-    def gradient(
-        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
-    ) -> tuple[np.ndarray, float]:
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
         """Return A x - b with an error e such that sqrt(e'A^-1 e) is `accuracy`."""
         error = self._rng.standard_normal(len(x))
         error *= accuracy / np.linalg.norm(error)
@@ -67,11 +65,9 @@ class RoughLoadProblem(NoisyProblem):
         error = self._rng.standard_normal(len(self.b))
         self.b = self._b + self._factor @ error * (self.b_error / np.linalg.norm(error))
 
-    def gradient(
-        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
-    ) -> tuple[np.ndarray, float]:
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
         """Return A x - b with the b that is right."""
-        r, error = super().gradient(x, accuracy, origin)
+        r, error = super().gradient(x, accuracy)
         return r + self.b - self._b, error
 
 

@@ -86,7 +86,6 @@ class ContactCompliance(PetscOwner):
         vars(self).pop("certificate", None)
         if "near_field" in vars(self):
             self.near_field.destroy()
-        self.operator.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.

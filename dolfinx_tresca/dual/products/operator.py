@@ -17,7 +17,7 @@ from scipy.sparse import csc_array, csr_array
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import label_bodies, labels_of
 from dolfinx_tresca._base.parallel import gather_rows
-from dolfinx_tresca._base.petsc import PetscOwner, dense_matrix, sparse_matrix
+from dolfinx_tresca._base.petsc import dense_matrix, sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.solvers.products import WholeModel
@@ -25,13 +25,13 @@ from dolfinx_tresca.stiffness.choice import SPARE_WORKSPACE
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
-class DualOperator(PetscOwner):
+class DualOperator:
     """A of (38.4), for one K: each product is one solve with K.
 
     If bodies float, K stands for K_p, which is K with springs that fix these bodies
     (`floating/fixing.py`).
 
-    Owns PETSc objects: call `destroy()`. The caller keeps B and the solver.
+    The caller keeps B and the solver.
 
     Attributes:
         jump: B.
@@ -46,11 +46,6 @@ class DualOperator(PetscOwner):
         self.comm = self.jump.comm
         self.exact = solver.exact
         self.products = 0
-        self._u = jump.matrix.createVecRight()
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        self._u.destroy()
 
     def apply(self, x: Array) -> Array:
         """Return A x to the accuracy in the solver's options; counted in `products`. Collective.
@@ -71,9 +66,10 @@ class DualOperator(PetscOwner):
             solver for K: larger than requested if the solver missed it, 0 for a direct solver.
         """
         self.products += 1
-        error = self.solver.solve(self.jump.contact_force(x), self._u)
-        self._u.array[self.jump.system.prescribed] = 0.0
-        return self.jump.of_unknowns(self._u), error
+        u = self.jump.work
+        error = self.solver.solve(self.jump.contact_force(x), u)
+        u.array[self.jump.system.prescribed] = 0.0
+        return self.jump.of_unknowns(u), error
 
     def apply_to_all(self, X: Array, B: PETSc.Mat | None = None) -> Array:
         """Return A X for X (size, k), with a direct solver for all columns together. Collective.
