@@ -45,8 +45,7 @@ class ElasticResponse:
     """The displacement for the present load and given multipliers, (38.1).
 
     With a direct solver for K, displacements are exact to rounding, whatever is requested; with an
-    iterative one, only as accurate as requested. Call `solve_load` first. An object is valid until
-    the load or K changes.
+    iterative one, only as accurate as requested. An object is valid until the load or K changes.
 
     Attributes:
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
@@ -62,33 +61,31 @@ class ElasticResponse:
     def __init__(
         self, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
     ) -> None:
-        """Keep what the displacement depends on; nothing is solved. Not collective.
-
-        Args:
-            compliance: A.
-            guess: displacements of earlier solves.
-            slip_origin: (size,) slip origin s, divided by the jump's `length_scale`.
-        """
-        self._compliance, self._guess = compliance, guess
-        self._operator, self._solver = compliance.operator, compliance.operator.solver
-        self._jump = compliance.jump
-        self._system, self._inner = self._jump.system, self._jump.reductions.inner
-        self.offset = self._jump.gap + slip_origin - self._jump.of_frames
-        self._u = self._jump.work
-        self._load_terms: tuple[float, Array] | None = None
-        self._is_refined = self._solver.exact
-        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
-
-    def solve_load(self) -> None:
         """Compute b from the displacement without contact: one solve with K. Collective.
 
         An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
         residuals and the reported q depend on this b, while gradients do not.
 
+        Args:
+            compliance: A.
+            guess: displacements of earlier solves.
+            slip_origin: (size,) slip origin s, divided by the jump's `length_scale`.
+
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
             StiffnessError: the solve failed.
         """
+        self._compliance, self._guess = compliance, guess
+        self._operator, self._solver = compliance.operator, compliance.operator.solver
+        self._jump = compliance.jump
+        self._system, self._inner = self._jump.system, self._jump.reductions.inner
+        self.offset = self._jump.gap + slip_origin
+        if (frames := self._jump.frames) is not None:
+            self.offset = self.offset - self._jump.of_displacement(frames.rigid)
+        self._u = self._jump.work
+        self._load_terms: tuple[float, Array] | None = None
+        self._is_refined = self._solver.exact
+        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
         self._compute_b(LOAD_ACCURACY)
         self._check_units()
 

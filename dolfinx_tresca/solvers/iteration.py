@@ -235,7 +235,6 @@ class ModelNewton:
         options: tolerances.
         observe: function that is called with each iterate, the first one included.
         has_given_bounds: whether slip bounds do not depend on pressures (Tresca's law).
-        largest: lower bound of sigma_max, kept when known products are dropped.
         store: known products with A.
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.
@@ -254,7 +253,7 @@ class ModelNewton:
         """Keep the arguments; `run` solves. Not collective."""
         self.problem, self.options, self.observe = problem, options, observe
         self.has_given_bounds = not isinstance(problem.admissible, FrictionCones)
-        self.largest, self.misses, self.completed_at = 0.0, 0, 0
+        self.misses, self.completed_at = 0, 0
 
     def run(self, start: Array) -> DualSolution:
         """Iterate until a status ends the iteration. Collective."""
@@ -339,8 +338,7 @@ class ModelNewton:
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
-        self.largest = max(self.largest, self.store.largest_ritz_value)
-        return self.options.step_factor / (self.largest or 1.0)
+        return self.options.step_factor / (self.store.largest_ritz_value or 1.0)
 
     def status(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.

@@ -181,22 +181,16 @@ class SemismoothNewton:
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
             whole, (dx, dc) = (idle + 1) % SHORT_PATIENCE == 0, self.step(point, softness)
-            wanted = self.wanted_residual(point, dx, dc)
+            # if the face did not change, constraints that are soft in this step would keep a
+            # residual, and all other residuals would vanish: this is what the step promises
+            left = self.problem.constraints.residual(point.x + dx, point.c + dc)
+            promised = self.energy(np.zeros_like(dx), left)
+            wanted = PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
             point = self._part_of_step(point, dx, dc, wanted, 0 if whole else MOST_HALVINGS)
             softness *= SOFTER if point.residual > wanted else 1.0 / SOFTER
             idle = 0 if point.residual < PROGRESS * best.residual else idle + 1
             best = min(best, point, key=lambda candidate: candidate.residual)
         return best
-
-    def wanted_residual(self, point: NewtonPoint, dx: Array, dc: Array) -> float:
-        """Return the largest residual with which a step is accepted.
-
-        If the face did not change, constraints that are soft in this step would keep a residual,
-        and all other residuals would vanish: this is what the step promises.
-        """
-        left = self.problem.constraints.residual(point.x + dx, point.c + dc)
-        promised = self.energy(np.zeros_like(dx), left)
-        return PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
 
     def _part_of_step(
         self, point: NewtonPoint, dx: Array, dc: Array, wanted: float, most_halvings: int
