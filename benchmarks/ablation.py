@@ -324,9 +324,9 @@ def unbalanced(constraints: Any, cones: Any, *arguments: Any, **start: Any) -> B
     return balance(constraints, cones, *arguments)
 
 
-def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> None:
+def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> Any:
     """Begin at zero."""
-    begin_at(state, np.zeros_like(start))
+    return begin_at(state, np.zeros_like(start))
 
 
 append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at

@@ -240,13 +240,11 @@ class ModelNewton:
         history: residuals and energies of the iterates, and the criterion of convergence.
         iterate: the present point.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
-        first_target: the solution of the model at the start; None after it was used.
         deficit: deficit of friction with which the iteration ends; None if friction is strong
             enough.
         completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
-    first_target: NewtonPoint | None = None
     deficit: FrictionDeficit | None = None
 
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
@@ -258,10 +256,10 @@ class ModelNewton:
     def run(self, start: Array) -> DualSolution:
         """Iterate until a status ends the iteration. Collective."""
         self.compute_first_products()
-        self.begin_at(start)
-        iterate, target = self.iterate, self.first_target
+        unused_target = target = self.begin_at(start)
+        iterate = self.iterate
         while (status := self.status(target or iterate.point)) is None:
-            target, self.first_target = self.first_target or self.target(), None
+            target, unused_target = unused_target or self.target(), None
             iterate.move(target.x - iterate.x, target.c)
             if (rho := self.proposed_rho()) < self.residual.rho:
                 self.residual.set_rho(rho)
@@ -286,7 +284,7 @@ class ModelNewton:
             elif store.largest_ritz_value == 0.0:
                 store.add(b, self.problem.operator.apply(b))
 
-    def begin_at(self, start: Array) -> None:
+    def begin_at(self, start: Array) -> NewtonPoint | None:
         """Begin at the start, or at zero if the residual is larger at the start. Collective.
 
         A load step with bounds that depend on the pressure always begins at the start. There may be
@@ -309,7 +307,7 @@ class ModelNewton:
             start = problem.admissible.project(start + constraints.columns @ shift)
         if norm(problem, start) > 0.0:
             iterate.begin_at(start)
-        self.find_constraint_multipliers()
+        target = self.find_constraint_multipliers()
         if self.options.rtol:
             iterate.finest = FORCING * self.history.residual_error
         if residual.norm_at(iterate.point) > residual.scale:
@@ -317,24 +315,27 @@ class ModelNewton:
                 residual.count(iterate.r + problem.b)
             else:
                 iterate.return_to_zero()
-                self.first_target = None
                 residual.set_constraint_multipliers(iterate.c)
-                self.find_constraint_multipliers()
+                target = self.find_constraint_multipliers()
+        return target
 
-    def find_constraint_multipliers(self) -> None:
+    def find_constraint_multipliers(self) -> NewtonPoint | None:
         """Solve the model at the start for the motions of floating bodies: b is known up to G c.
 
         The motions of the gradient projection step that balances the loads are the initial guess.
+        Return the solution of the model; None if no body floats, or the loads are zero.
         """
         iterate, constraints, rho = self.iterate, self.problem.constraints, self.residual.rho
         is_at_rest = self.residual.zero_is_solution and norm(self.problem, iterate.x) == 0.0
-        if len(constraints) > 0 and not is_at_rest:
-            x, r, softness = iterate.x, iterate.r, 1.0 / rho * constraints.softness
-            shift = balance(constraints, self.problem.bounds(x, r), x - rho * r, softness).shift
-            iterate.c = np.asarray(shift / rho)
-            self.first_target = self.target()
-            iterate.c = self.first_target.c
-            self.residual.set_constraint_multipliers(iterate.c)
+        if len(constraints) == 0 or is_at_rest:
+            return None
+        x, r, softness = iterate.x, iterate.r, 1.0 / rho * constraints.softness
+        shift = balance(constraints, self.problem.bounds(x, r), x - rho * r, softness).shift
+        iterate.c = np.asarray(shift / rho)
+        target = self.target()
+        iterate.c = target.c
+        self.residual.set_constraint_multipliers(iterate.c)
+        return target
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
@@ -379,7 +380,7 @@ class ModelNewton:
         """
         if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
             return False
-        self.store, self.first_target = self.problem.known_products(), None
+        self.store = self.problem.known_products()
         self.iterate.store = self.store
         self.misses, self.completed_at = 0, len(self.history.residuals)
         self.iterate.learned = True

@@ -197,9 +197,7 @@ class SemismoothNewton:
     ) -> NewtonPoint:
         """Return the end of the longest part 2^-n of a step whose residual is small enough.
 
-        If there is none, the end with the least residual is returned. A body that moves freely
-        makes no progress up to the node that stops it: the next longer part is taken, which ends
-        behind this node, since the shorter ones would come nearer to it for ever.
+        If there is none, the end with the least residual is returned.
         """
         dr = self.model.apply(dx) - self.problem.constraints.columns @ dc
         trials = []
@@ -207,8 +205,7 @@ class SemismoothNewton:
             t = 0.5**halvings
             trials.append(self.point(point.x + t * dx, point.c + t * dc, point.r + t * dr))
             if trials[-1].residual <= wanted:
-                moves_freely = trials[-1].residual > PROGRESS * point.residual
-                return trials[-2 if moves_freely and halvings > 0 else -1]
+                return trials[-1]
         return min(trials, key=lambda trial: trial.residual)
 
 
