@@ -112,8 +112,10 @@ def minimise(A, b, lam, rtol=1e-6):
         # Stage 4: stop at a part of the natural residual of x = 0
         if residual(x, r) <= rtol * residual(np.zeros_like(b), -b):
             break
-        # Stage 3: one product with A, on the step to the minimum of the model
+        # Stage 3: one product with A, on the step to the minimum of the model; its part of least q
         d = minimum_of_model(model.matrix(), x, r, lam) - x
-        x, r = x + d, r + model.product(d)
+        Ad = model.product(d)
+        t = np.clip(-(d @ r) / (d @ Ad), 0.0, 1.0) if d @ Ad > 0.0 else 1.0
+        x, r = x + t * d, r + t * Ad
         rho = min(rho, model.rho())
     return x

@@ -59,8 +59,9 @@ def test_gimssn_decreases_q_at_the_rate_of_the_theorem(problem, rho_sigma, seed)
     assert applies or rho_sigma > 1.9
 
 
+@pytest.mark.parametrize("method", ["gimssn", "projected_newton"])
 @pytest.mark.parametrize("top", [2.0, 5.0])
-def test_q_falls_even_where_the_load_hides_the_largest_eigenvalue(top):
+def test_q_falls_even_where_the_load_hides_the_largest_eigenvalue(method, top):
     """The eigenvalue estimate starts from b: an eigenvector orthogonal to b must not do harm."""
     for seed in range(10):
         problem = random_problem(seed, 10, 1.0)
@@ -70,6 +71,6 @@ def test_q_falls_even_where_the_load_hides_the_largest_eigenvalue(top):
         P = np.eye(len(v)) - np.outer(v, v)
         problem.A = P @ problem.A @ P + top * np.outer(v, v)
         problem.b = P @ problem.b
-        found = run(problem, "gimssn", max_iterations=300)
+        found = run(problem, method, max_iterations=300)
         rounding = ROUNDING * max(np.abs(found.q))
         assert max(np.diff(found.q)) <= rounding, (seed, found.rho * top, found.status)

@@ -29,30 +29,29 @@ LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 MOST_UNKNOWNS = 3000
 
 
-def coarse_level(pc: PETSc.PC) -> tuple[PETSc.Mat, StiffnessSolver] | None:
-    """Return P and the factors of P'KP for the largest multigrid level that is small enough.
+def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None:
+    """Return the factors of P'KP for the largest multigrid level that is small enough.
 
     The columns of P are the basis displacements of the level (`MOST_UNKNOWNS`): they move bodies as
-    a whole. The caller owns both. Collective.
+    a whole. The caller owns the result. Collective.
 
     Args:
         pc: a preconditioner, whose multigrid levels are searched.
 
     Returns:
-        P and the factors; None if the preconditioner is not multigrid, if no level is small enough,
-        or if the level cannot be factored.
+        the interpolations whose product is P, the finest first, and the factors; None if the
+        preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
     """
-    P: PETSc.Mat | None = None
+    interpolations: list[PETSc.Mat] = []
     while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
         for level in range(pc.getMGLevels() - 1, 0, -1):
-            interpolation = pc.getMGInterpolation(level)
-            P = interpolation if P is None else P.matMult(interpolation)
+            interpolations.append(pc.getMGInterpolation(level))
             matrix = pc.getMGSmoother(level - 1).getOperators()[0]
             if matrix.getSize()[0] <= MOST_UNKNOWNS:
                 matrix = matrix.convert("aij", PETSc.Mat())
                 matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
                 try:
-                    return P, cholesky(matrix, {}, None)
+                    return interpolations, cholesky(matrix, {}, None)
                 except StiffnessError:  # multigrid may work with a singular level
                     return None
         pc = pc.getMGSmoother(0).getPC()
@@ -106,15 +105,20 @@ class NearField(PetscOwner):
         self._u = jump.work
         self._coarse = coarse_level(solver.preconditioner)
         if self._coarse is not None:
-            self._coarse_u, self._left = self._coarse[0].createVecs()
-            self._coarse_f = self._coarse_u.duplicate()
+            coarser = (P.createVecRight() for P in self._coarse[0])
+            self._residuals = [K.createVecLeft(), *coarser]
+            self._corrections = [residual.duplicate() for residual in self._residuals]
             # the rows of K that couple the local degrees of freedom with all degrees of freedom
             self._rows = K.createSubMatrix(rows, None)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for owned in (self._local, *(self._coarse or ())):
-            owned.destroy()
+        self._local.destroy()
+        if self._coarse is not None:
+            # on several ranks, an interpolation is never freed if Python drops its reference after
+            # the hierarchy, which refers to it as well
+            for owned in (*self._coarse[0], self._coarse[1]):
+                owned.destroy()
 
     def apply(self, x: Array) -> Array:
         """Return D x, (size,). Collective."""
@@ -124,12 +128,16 @@ class NearField(PetscOwner):
         self._u.set(0.0)
         self._u.array[self._dofs] = self._local_u.array
         if self._coarse is not None:
-            self._rows.multTranspose(self._local_u, self._left)
-            self._left.aypx(-1.0, force)
-            P, factors = self._coarse
-            P.multTranspose(self._left, self._coarse_f)
-            factors.solve(self._coarse_f, self._coarse_u)
-            P.multAdd(self._coarse_u, self._u, self._u)
+            interpolations, factors = self._coarse
+            residuals, corrections = self._residuals, self._corrections
+            self._rows.multTranspose(self._local_u, residuals[0])
+            residuals[0].aypx(-1.0, force)
+            for level, P in enumerate(interpolations):
+                P.multTranspose(residuals[level], residuals[level + 1])
+            factors.solve(residuals[-1], corrections[-1])
+            for level, P in reversed(list(enumerate(interpolations))):
+                P.mult(corrections[level + 1], corrections[level])
+            self._u.axpy(1.0, corrections[0])
             self._rows.mult(self._u, self._local_f)
             self._local_f.array = force.array[self._dofs] - self._local_f.array
             self._local.solve(self._local_f, self._local_u)
