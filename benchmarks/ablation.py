@@ -52,7 +52,7 @@ from dolfinx_tresca import (
     solve_adaptively,
 )
 from dolfinx_tresca.dual.products import compliance
-from dolfinx_tresca.dual.response import InitialGuess
+from dolfinx_tresca.dual.response import ElasticResponse
 from dolfinx_tresca.solvers import (
     iteration,
     products,
@@ -325,22 +325,11 @@ def unbalanced(constraints: Any, cones: Any, *arguments: Any, **start: Any) -> B
     return balance(constraints, cones, *arguments)
 
 
-def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> None:
+def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> Any:
     """Begin at zero."""
-    begin_at(state, np.zeros_like(start))
+    return begin_at(state, np.zeros_like(start))
 
 
-def without_gradient_steps(state: iteration.ModelNewton, step: iteration.Step) -> iteration.Step:
-    """Return the best part of the Newton step, without a gradient projection step."""
-    return state.minimiser_between(state.iterate.zero_step(), step)
-
-
-def first_rho(residual: NaturalResidual, rho: float) -> None:
-    """Keep the first step length of a residual."""
-    set_rho(residual, residual.rho)
-
-
-set_rho = NaturalResidual.set_rho
 append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
 make_store = products.ProductStore.__init__
 INEXACT, NEWTON, STORE = iteration.InexactIterate, iteration.ModelNewton, products.ProductStore
@@ -363,8 +352,6 @@ PARTS: dict[str, Patches] = {
     "bounds that follow pressures": [
         (FrictionCones, "with_bound_change", FeasibleSet.with_bound_change)
     ],
-    "gradient projection steps": [(NEWTON, "descending", without_gradient_steps)],
-    "reductions of rho": [(NaturalResidual, "set_rho", first_rho)],
     "higher accuracy where it stalls": [(INEXACT, "increase_accuracy", lambda self: None)],
     "refined gradients": [(INEXACT, "refine", lambda self, accuracy: None)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
@@ -374,7 +361,9 @@ PARTS: dict[str, Patches] = {
     "initial motions of floating bodies": [
         (NEWTON, "find_constraint_multipliers", lambda self: None)
     ],
-    "first guess of displacements": [(InitialGuess, "near", lambda self, x: self.load.copy())],
+    "first guess of displacements": [
+        (ElasticResponse, "_guessed", lambda self, x: self._guess.load)
+    ],
     "undecided zero": [(NaturalResidual, "zero_is_undecided", lambda self, error: False)],
 }
 

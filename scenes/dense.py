@@ -150,9 +150,7 @@ class DenseProblem(OneRank):
     def refine_b(self) -> None:
         """Do nothing, since b is exact."""
 
-    def gradient(
-        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
-    ) -> tuple[np.ndarray, float]:
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
         """Return A x - b and its error, which is zero."""
         return self.apply(x) - self.b, 0.0
 

@@ -99,13 +99,6 @@ def minimum_of_model(M, x, r, lam):
     return lam.project(best)
 
 
-def minimiser_between(r, p, Ap, d, Ad):
-    """Return the step with the least q on the segment from step p to step d, and A times it."""
-    e, Ae = d - p, Ad - Ap
-    t = np.clip(-(e @ (r + Ap)) / (e @ Ae), 0.0, 1.0) if e @ Ae > 0.0 else 0.0
-    return p + t * e, Ap + t * Ae
-
-
 def minimise(A, b, lam, rtol=1e-6):
     """Return the minimiser of q over Lambda."""
 
@@ -116,18 +109,13 @@ def minimise(A, b, lam, rtol=1e-6):
     model.product(b)  # for a first rho
     x, r, rho = np.zeros_like(b), -b, model.rho()
     for _ in range(200):
-        # Stage 5: stop at a part of the natural residual of x = 0
+        # Stage 4: stop at a part of the natural residual of x = 0
         if residual(x, r) <= rtol * residual(np.zeros_like(b), -b):
             break
-        # Stage 3: one product with A on the step of the model; the best part of the step
+        # Stage 3: one product with A, on the step to the minimum of the model; its part of least q
         d = minimum_of_model(model.matrix(), x, r, lam) - x
         Ad = model.product(d)
-        step, change = minimiser_between(r, np.zeros_like(d), np.zeros_like(d), d, Ad)
-        # Stage 4: does q fall as much as the gradient projection step p promises (Theorem 38.1)?
-        # Otherwise p is taken, and from there the best part of the way to d
+        t = np.clip(-(d @ r) / (d @ Ad), 0.0, 1.0) if d @ Ad > 0.0 else 1.0
+        x, r = x + t * d, r + t * Ad
         rho = min(rho, model.rho())
-        p = lam.project(x - rho * r) - x
-        if r @ step + step @ change / 2.0 > r @ p + p @ p / (2.0 * rho):
-            step, change = minimiser_between(r, p, model.product(p), d, Ad)
-        x, r = x + step, r + change
     return x

@@ -101,7 +101,7 @@ class ContactSurfaces(PetscOwner):
         with destroyed_on_error(self.jump):
             self.update_gaps()
         self.summary = ProblemSummary.from_system(linear, pairs, self.jump)
-        self.guess = InitialGuess(self.jump)
+        self.guess = InitialGuess(np.zeros(len(linear.prescribed)))
         self.obstacles.note_pairing(self.jump)
         self._state = StepState.undeformed(self.jump, self.obstacles.motions)
         with destroyed_on_error(self.jump):
@@ -372,7 +372,7 @@ class ContactSurfaces(PetscOwner):
         """Replace B after a new pairing, and drop what depends on the old B. Collective."""
         before, self.jump = self.jump, jump
         self.linear.frames = jump.frames
-        self.guess.forget()
+        self.guess.newest = None
         self.compliance = self.compliance.on(jump)
         self.obstacles.note_pairing(jump)
         self.summary = ProblemSummary.from_system(self.linear, self.pairs, jump)

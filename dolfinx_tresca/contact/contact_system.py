@@ -350,7 +350,6 @@ class ContactSystem(PetscOwner):
                 raise
             if dual.equilibrium is not None:
                 self._check_no_slip_dependence()
-            dual.response.solve_load()
         with timed("iteration", timings):
             dual_solution = solve(dual, state.multipliers, options, observe)
         with timed("fields", timings):

@@ -242,8 +242,14 @@ class StepState:
         """
         carry = Carry(self.jump, jump)
         kept = carry.residuals(self.jump.of_displacement(u) - self.history.origin)
-        history = self.history.with_slip(kept, u, jump)
-        history = history.with_origin_at(self.accepted.displacement, jump, since_accepted)
+        accepted, origin = self.accepted.displacement, np.zeros(len(jump.gap))
+        rows = jump.unbounded.tangential
+        origin[rows] = (jump.of_displacement(u) - kept)[rows]
+        at_start = np.zeros_like(origin) if accepted is None else jump.of_displacement(accepted)
+        for pair, is_new, (_, t) in zip(jump.pairs, since_accepted, jump.slices, strict=True):
+            if is_new and not pair.bonded:
+                origin[t] = at_start[t]
+        history = replace(self.history, origin=origin)
         return replace(self._on(jump, carry, history), continues=continues)
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:

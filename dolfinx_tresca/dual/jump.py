@@ -248,13 +248,6 @@ class JumpOperator(PetscOwner):
         everywhere = self.comm.allreduce(same, op=MPI.LAND)
         return self if everywhere else JumpOperator(self.system, pairs, self.frames)
 
-    @cached_property
-    def of_frames(self) -> Array:
-        """The jumps (size,) of the rigid motions of the frames; zero without frames. Collective."""
-        if self.frames is None:
-            return np.zeros(len(self.gap))
-        return self.of_displacement(self.frames.rigid)
-
     def of_unknowns(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for all unknowns u of the system. Collective.
 

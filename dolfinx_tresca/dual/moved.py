@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx import fem
 
@@ -119,50 +118,30 @@ class Carry:
     def __init__(self, before: JumpOperator, after: JumpOperator) -> None:
         """Find the nodes of the new B among the nodes of the old B. Not collective."""
         self._before, self._after = before, after
-        counts = [len(old.nodes) + 1 for old in before.pairs]  # the last number is for new nodes
-        old_positions = [np.arange(count) for count in counts]
-        positions = [
-            _position(new.nodes, old.nodes)
-            for new, old in zip(after.pairs, before.pairs, strict=True)
-        ]
-        self._to = _components(after.pairs, positions, counts)
-        self._of = _components(before.pairs, old_positions, counts).T
-
-    def physical(self, values: Array) -> Array:
-        """Convert tractions [stress] or jumps [length], (size,) or (size, k), to the new B."""
-        return np.asarray(self._to @ (self._of @ values))
+        pairs = zip(before.pairs, after.pairs, strict=True)
+        self._positions = [_position(new.nodes, old.nodes) for old, new in pairs]
 
     def multipliers(self, x: Array) -> Array:
-        """Convert multipliers (size,) or (size, k) to the new B. Not collective."""
-        return (self.physical((x.T * self._before.stress_scale).T).T / self._after.stress_scale).T
+        """Convert multipliers (size,) to the new B. Not collective."""
+        return self._carried(x * self._before.stress_scale) / self._after.stress_scale
 
     def residuals(self, r: Array) -> Array:
-        """Convert residuals or gradients (size,) or (size, k) to the new B. Not collective."""
-        return (self.physical((r.T * self._before.length_scale).T).T / self._after.length_scale).T
+        """Convert residuals or gradients (size,) to the new B. Not collective."""
+        return self._carried(r * self._before.length_scale) / self._after.length_scale
 
-
-def _components(
-    pairs: Sequence[PairOperators], nodes: Sequence[Indices], counts: Sequence[int]
-) -> csr_array:
-    """Return the matrix that maps a normal value and a vector at each node to the rows of B.
-
-    Args:
-        pairs: the pairs of B.
-        nodes: for each pair and each of its nodes (n,), the number of the node whose columns of the
-            matrix it uses, from 0 to count - 1.
-        counts: for each pair the number of nodes that have columns, 1 + d columns each.
-    """
-    values, columns, lengths, start = [], [], [], 0
-    for pair, node, count in zip(pairs, nodes, counts, strict=True):
-        dim = pair.tangents.shape[1]
-        vectors = start + count + dim * node[pair.tangent_node, None] + np.arange(dim)
-        columns += [start + node[pair.normal_node], vectors.ravel()]
-        values += [np.ones(len(pair.normal_node)), pair.tangents.ravel()]
-        lengths += [np.ones(len(pair.normal_node), int), np.full(len(vectors), dim)]
-        start += (1 + dim) * count
-    ends = np.append(0, np.cumsum(np.concatenate(lengths)))
-    shape = len(ends) - 1, start
-    return csr_array((np.concatenate(values), np.concatenate(columns), ends), shape)
+    def _carried(self, values: Array) -> Array:
+        """Convert tractions [stress] or jumps [length], (size,), to the new B."""
+        before, after, result = self._before, self._after, np.zeros(len(self._after.gap))
+        for k, position in enumerate(self._positions):
+            old, (normal_rows, tangential_rows) = before.pairs[k], before.slices[k]
+            new, (n, t) = after.pairs[k], after.slices[k]
+            normal = np.zeros(len(old.nodes) + 1)  # the last number is for new nodes
+            normal[old.normal_node] = values[normal_rows]
+            vectors = old.tangential_vectors(values[tangential_rows])
+            vectors = np.vstack([vectors, np.zeros((1, vectors.shape[1]))])
+            result[n] = normal[position[new.normal_node]]
+            result[t] = np.einsum("ri,ri->r", vectors[position[new.tangent_node]], new.tangents)
+        return result
 
 
 def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:

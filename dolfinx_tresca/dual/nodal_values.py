@@ -166,9 +166,12 @@ class NodalValues:
             field = field.ufl_expression
         if isinstance(field, fem.Function):
             self._check_mesh(field, name)
-            nodal, position = self._scalar_field if components == 1 else self._vector_field
+            if components > 1:
+                nodal, position = fem.Function(self._V), nodes
+            else:
+                nodal, position = self._scalar_field[0], self._scalar_field[1][nodes]
             nodal.interpolate(field)
-            values: Array = nodal.x.array.reshape(-1, components)[position[nodes]]
+            values: Array = nodal.x.array.reshape(-1, components)[position]
             return values
         if isinstance(field, fem.Constant):
             field = field.value
@@ -362,8 +365,3 @@ class NodalValues:
         position = np.empty(len(dofs), dtype=np.int32)
         position[dofs] = np.arange(len(dofs))
         return fem.Function(scalar), position
-
-    @cached_property
-    def _vector_field(self) -> tuple[fem.Function, LocalNumbers]:
-        """A Function on V, and the position of each node in its values. Collective."""
-        return fem.Function(self._V), np.arange(len(self._first_seen), dtype=np.int32)

@@ -57,9 +57,7 @@ class DualProgram:
         history: SlipHistory | None = None,
         tools: Tools | None = None,
     ) -> None:
-        """Make the program for the system's present load, before any solve with K. Collective.
-
-        The caller must then call `response.solve_load()`.
+        """Make the program for the system's present load, with one solve with K. Collective.
 
         Args:
             compliance: A for the present K.
@@ -69,7 +67,9 @@ class DualProgram:
             tools: obstacles and bolts with given forces; None if there are none.
 
         Raises:
+            InputError: the load is too large or too small for floating-point numbers.
             MechanismError: contact cannot hold a floating body or a tool.
+            StiffnessError: the solve failed.
         """
         jump = self.jump = compliance.jump
         self.compliance, self.operator = compliance, compliance.operator

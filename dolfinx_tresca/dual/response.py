@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -9,80 +11,26 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca._base.tolerances import FULL_ACCURACY, SLACK
-from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca._base.tolerances import FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.dual.products.compliance import ContactCompliance
 from dolfinx_tresca.errors import InputError
 
 
+@dataclass
 class InitialGuess:
-    """First guesses of u = K^-1 (f - B'x), from displacements at two multipliers x, called points.
+    """First guesses of u = K^-1 (f - B'x): the displacements at x = 0 and at the last multipliers.
 
-    The displacement without contact (x = 0) is kept, too. Since u is affine in x, u is known on the
-    line through both points, up to the errors of the kept displacements. This line includes all x
-    along a step if the iteration gives the start of the step (`begin_at`). PETSc's `KSPGuess`
-    (Fischer 1998) would project onto earlier right-hand sides instead, which costs a product with K
-    for each right-hand side; here the multipliers are projected. (Planes through three points save
-    no Krylov iterations: 303 in place of 297 in six solves of two bricks.)
-
-    Displacements are arrays of this rank's unknowns.
+    Displacements are arrays of this rank's unknowns. (PETSc's `KSPGuess`, Fischer 1998, would
+    project onto earlier right-hand sides, and planes or lines through earlier points save no Krylov
+    iterations.)
 
     Attributes:
-        load: u at x = 0.
+        load: u at x = 0, the displacement without contact.
+        newest: u at the last multipliers; None: not known.
     """
 
-    def __init__(self, jump: JumpOperator) -> None:
-        """Begin without load: u = 0 at x = 0. Not collective."""
-        self.load: Array = np.zeros(jump.matrix.getLocalSize()[1])
-        self._inner = jump.reductions.inner
-        self._points: list[tuple[Array, Array]] = []
-
-    def forget(self) -> None:
-        """Forget all points but the displacement without contact. Not collective."""
-        self._points = []
-
-    def set_load(self, load: Array) -> None:
-        """Set the displacement without contact, for a new load. Not collective.
-
-        Of the other points, only the newest is kept. Its multipliers stay the same, and the change
-        of the displacement without contact is added to its displacement.
-
-        Args:
-            load: the new u at x = 0.
-        """
-        self._points = [(x, u + load - self.load) for x, u in self._points[-1:]]
-        self.load = load
-
-    def begin_at(self, x: Array) -> None:
-        """Compute u at multipliers x, and keep it as the start of later steps. Collective."""
-        if not self._points or self._square(self._points[0][0] - x) > 0.0:
-            self._points = [(x.copy(), self.near(x)), *self._points[-1:]]
-
-    def add(self, x: Array, u: Array) -> None:
-        """Keep the displacement u at x, beside that of the older point. Collective.
-
-        It replaces an earlier displacement at x. The older point is the start of the steps if
-        `begin_at` gave this start.
-        """
-        same = [self._square(multipliers - x) == 0.0 for multipliers, _ in self._points]
-        place = same.index(True) if any(same) else 1
-        self._points[place : place + 1] = [(x.copy(), u)]
-
-    def near(self, x: Array) -> Array:
-        """Return u at the point of the line that is nearest to x. Collective.
-
-        At x = 0 the result is the displacement without contact.
-        """
-        if not self._points or self._square(x) == 0.0:
-            return self.load.copy()
-        start, u_start = (np.zeros_like(x), self.load) if len(self._points) < 2 else self._points[0]
-        end, u_end = self._points[-1]
-        length = self._square(end - start)
-        factor = float(self._inner(end - start, x - start)) / length if length > 0.0 else 1.0
-        return np.asarray(u_start + factor * (u_end - u_start))
-
-    def _square(self, x: Array) -> float:
-        return float(self._inner(x, x))
+    load: Array
+    newest: Array | None = None
 
 
 #: Relative accuracy of the displacement without contact, in the energy norm.
@@ -97,8 +45,7 @@ class ElasticResponse:
     """The displacement for the present load and given multipliers, (38.1).
 
     With a direct solver for K, displacements are exact to rounding, whatever is requested; with an
-    iterative one, only as accurate as requested. Call `solve_load` first. An object is valid until
-    the load or K changes.
+    iterative one, only as accurate as requested. An object is valid until the load or K changes.
 
     Attributes:
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
@@ -114,33 +61,31 @@ class ElasticResponse:
     def __init__(
         self, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
     ) -> None:
-        """Keep what the displacement depends on; nothing is solved. Not collective.
-
-        Args:
-            compliance: A.
-            guess: displacements of earlier solves.
-            slip_origin: (size,) slip origin s, divided by the jump's `length_scale`.
-        """
-        self._compliance, self._guess = compliance, guess
-        self._operator, self._solver = compliance.operator, compliance.operator.solver
-        self._jump = compliance.jump
-        self._system, self._inner = self._jump.system, self._jump.reductions.inner
-        self.offset = self._jump.gap + slip_origin - self._jump.of_frames
-        self._u = self._jump.work
-        self._load_terms: tuple[float, Array] | None = None
-        self._is_refined = self._solver.exact
-        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
-
-    def solve_load(self) -> None:
         """Compute b from the displacement without contact: one solve with K. Collective.
 
         An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
         residuals and the reported q depend on this b, while gradients do not.
 
+        Args:
+            compliance: A.
+            guess: displacements of earlier solves.
+            slip_origin: (size,) slip origin s, divided by the jump's `length_scale`.
+
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
             StiffnessError: the solve failed.
         """
+        self._compliance, self._guess = compliance, guess
+        self._operator, self._solver = compliance.operator, compliance.operator.solver
+        self._jump = compliance.jump
+        self._system, self._inner = self._jump.system, self._jump.reductions.inner
+        self.offset = self._jump.gap + slip_origin
+        if (frames := self._jump.frames) is not None:
+            self.offset = self.offset - self._jump.of_displacement(frames.rigid)
+        self._u = self._jump.work
+        self._load_terms: tuple[float, Array] | None = None
+        self._is_refined = self._solver.exact
+        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
         self._compute_b(LOAD_ACCURACY)
         self._check_units()
 
@@ -149,7 +94,9 @@ class ElasticResponse:
         load, u = self._system.f.x.petsc_vec, self._u
         u.array = 0.0 if load.norm() == 0.0 else self._guess.load  # exactly zero without load
         self.b_error = self._solver.improve(load, u, rtol=rtol, accuracy=0.0)
-        self._guess.set_load(u.array.copy())
+        if self._guess.newest is not None:
+            self._guess.newest = self._guess.newest + u.array - self._guess.load
+        self._guess.load = u.array.copy()
         self.b = self._jump.of_unknowns(u) - self.offset
 
     @property
@@ -185,9 +132,7 @@ class ElasticResponse:
                     "computed. Choose units in which they are nearer to 1."
                 )
 
-    def gradient(
-        self, x: Array, accuracy: float, origin: Array | None = None
-    ) -> tuple[Array, float]:
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
         A direct solver takes one product, unless x is zero. An iterative solver for K starts from a
@@ -198,22 +143,17 @@ class ElasticResponse:
 
         Args:
             x: (size,) multipliers.
-            origin: (size,) start of the step to x. Its displacement is kept, so that u, which is
-                affine in x, is known along the whole step afterwards. None: x is not the end of a
-                step.
             accuracy: requested error of the displacement in the energy norm; the returned error is
                 larger if the solver does not reach it.
         """
         if self._solver.exact:
             presses = float(self._inner(x, x)) > 0.0
             return (self._operator.apply(x) - self.b if presses else -self.b), 0.0
-        if origin is not None:
-            self._guess.begin_at(origin)
         before = self._solver.krylov_iterations
-        self._u.array = self._guess.near(x)
+        self._u.array = self._guessed(x)
         error = self._improve(x, self._u, accuracy)
         self._operator.products += self._solver.krylov_iterations > before
-        self._guess.add(x, self._u.array.copy())
+        self._guess.newest = self._u.array.copy()
         r = self.gradient_of(self._u)
         terms = np.abs(self.offset) + np.abs(self.offset - r)
         # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
@@ -251,7 +191,7 @@ class ElasticResponse:
         elif accuracy is None or self._solver.exact:
             self._solver.solve(self._jump.net_force(x), u)
         else:
-            u.array = self._guess.near(x)
+            u.array = self._guessed(x)
             if (error := self.error(x, u)) <= SLACK * accuracy:
                 return error
             self._improve(x, u, accuracy)
@@ -260,21 +200,26 @@ class ElasticResponse:
     def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
         """Set u to the displacement at x, and keep it. Collective.
 
-        A direct solver takes one solve with K; with an iterative solver, the gradient at x was
-        computed from this displacement.
+        A direct solver takes one solve with K; with an iterative solver, u is known if the gradient
+        at x was computed from it.
         """
+        u.array = self._guessed(x)
+        self._solver.improve(self._jump.net_force(x), u, rtol=ROUGH, accuracy=0.0)
         if self._solver.exact:
-            self._solver.solve(self._jump.net_force(x), u)
             self._solved = x.copy(), u.array.copy()
-        else:
-            u.array = self._guess.near(x)
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
         """Solve like `displacement`, and let the next solve start from the result. Collective."""
         error = self.displacement(x, u, accuracy)
-        self._guess.forget()
-        self._guess.add(x, u.array.copy())
+        self._guess.newest = u.array.copy()
         return error
+
+    def _guessed(self, x: Array) -> Array:
+        """Return the displacement without contact for x = 0, else that of the last multipliers."""
+        newest = self._guess.newest
+        if newest is None or float(self._inner(x, x)) == 0.0:
+            return self._guess.load
+        return newest
 
     def error(self, x: Array, u: PETSc.Vec) -> float:
         """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""

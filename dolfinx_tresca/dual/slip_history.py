@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.dual.jump import JumpOperator
 
 
@@ -71,36 +71,6 @@ class SlipHistory:
             vectors = slip[pair.tangent_node, :-1]
             origin[t] = np.einsum("ri,ri->r", vectors, pair.tangents) / jump.length_scale[t]
         return cls.none(jump).after(jump, origin, slips, dissipation)
-
-    def with_slip(self, slip: Array, u: fem.Function, jump: JumpOperator) -> SlipHistory:
-        """Return the history with which a displacement has a given slip in this step. Collective.
-
-        Args:
-            slip: (size,) slip, divided by `JumpOperator.length_scale`; normal rows do not matter.
-            u: displacement that has this slip [length].
-            jump: B.
-        """
-        rows = jump.unbounded.tangential
-        origin = np.zeros(len(jump.gap))
-        origin[rows] = (jump.of_displacement(u) - slip)[rows]
-        return replace(self, origin=origin)
-
-    def with_origin_at(
-        self, u: fem.Function | None, jump: JumpOperator, of_pairs: Sequence[bool] | Mask
-    ) -> SlipHistory:
-        """Return the history in which slips of some pairs count from a displacement. Collective.
-
-        Args:
-            u: displacement of the last accepted step [length]; None: the undeformed state.
-            jump: B.
-            of_pairs: for each pair whether its slip counts from u.
-        """
-        at_start = np.zeros_like(self.origin) if u is None else jump.of_displacement(u)
-        origin = self.origin.copy()
-        for pair, has_new_origin, (_, t) in zip(jump.pairs, of_pairs, jump.slices, strict=True):
-            if has_new_origin and not pair.bonded:
-                origin[t] = at_start[t]
-        return replace(self, origin=origin)
 
     def after(
         self, jump: JumpOperator, slip: Array, steps: Sequence[Array], dissipation: float

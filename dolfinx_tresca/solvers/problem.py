@@ -48,9 +48,7 @@ class Response(Protocol):
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K. Collective."""
 
-    def gradient(
-        self, x: Array, accuracy: float, origin: Array | None = None
-    ) -> tuple[Array, float]:
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
         Args:
@@ -58,8 +56,6 @@ class Response(Protocol):
             accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
                 norm of the displacement's error. If the solver cannot reach this accuracy, e is
                 larger.
-            origin: (size,) multipliers at the start of a step to x, of which the caller may take a
-                part; None: there is no step.
         """
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:

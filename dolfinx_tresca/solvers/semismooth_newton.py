@@ -181,31 +181,23 @@ class SemismoothNewton:
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
             whole, (dx, dc) = (idle + 1) % SHORT_PATIENCE == 0, self.step(point, softness)
-            wanted = self.wanted_residual(point, dx, dc)
+            # if the face did not change, constraints that are soft in this step would keep a
+            # residual, and all other residuals would vanish: this is what the step promises
+            left = self.problem.constraints.residual(point.x + dx, point.c + dc)
+            promised = self.energy(np.zeros_like(dx), left)
+            wanted = PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
             point = self._part_of_step(point, dx, dc, wanted, 0 if whole else MOST_HALVINGS)
             softness *= SOFTER if point.residual > wanted else 1.0 / SOFTER
             idle = 0 if point.residual < PROGRESS * best.residual else idle + 1
             best = min(best, point, key=lambda candidate: candidate.residual)
         return best
 
-    def wanted_residual(self, point: NewtonPoint, dx: Array, dc: Array) -> float:
-        """Return the largest residual with which a step is accepted.
-
-        If the face did not change, constraints that are soft in this step would keep a residual,
-        and all other residuals would vanish: this is what the step promises.
-        """
-        left = self.problem.constraints.residual(point.x + dx, point.c + dc)
-        promised = self.energy(np.zeros_like(dx), left)
-        return PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
-
     def _part_of_step(
         self, point: NewtonPoint, dx: Array, dc: Array, wanted: float, most_halvings: int
     ) -> NewtonPoint:
         """Return the end of the longest part 2^-n of a step whose residual is small enough.
 
-        If there is none, the end with the least residual is returned. A body that moves freely
-        makes no progress up to the node that stops it: the next longer part is taken, which ends
-        behind this node, since the shorter ones would come nearer to it for ever.
+        If there is none, the end with the least residual is returned.
         """
         dr = self.model.apply(dx) - self.problem.constraints.columns @ dc
         trials = []
@@ -213,8 +205,7 @@ class SemismoothNewton:
             t = 0.5**halvings
             trials.append(self.point(point.x + t * dx, point.c + t * dc, point.r + t * dr))
             if trials[-1].residual <= wanted:
-                moves_freely = trials[-1].residual > PROGRESS * point.residual
-                return trials[-2 if moves_freely and halvings > 0 else -1]
+                return trials[-1]
         return min(trials, key=lambda trial: trial.residual)
 
 

@@ -75,17 +75,3 @@ def test_same_multipliers_with_as_many_products_as_the_real_method(seed):
     bound = (1.0 + found.rho * sigma[-1]) / sigma[0] * sum(residuals) * np.linalg.norm(problem.b)
     assert np.linalg.norm(x - found.multipliers) <= bound
     assert abs(products - problem.products) <= MARGIN
-
-
-def test_gradient_projection_steps_of_the_page_are_enough(monkeypatch):
-    """Without the model the energy falls at the rate of Theorem 38.1."""
-    problem = random_problem(3, nodes=10, decades=1)
-    lam = problem.feasible_set
-    problem.feasible_set = replace(lam, radius=np.where(lam.radius > 0.0, lam.radius, 1.0))
-    least = problem.q(by_the_page(problem, 1e-10)[0])
-    monkeypatch.setattr(dense, "minimum_of_model", lambda M, x, *others: x)
-    x, products = by_the_page(problem, 1e-4)
-    iterations = (products - 1) // 2  # two products each: of a step that is zero, and of p
-    sigma = np.linalg.eigvalsh(problem.A)
-    assert 5 < iterations < 200
-    assert problem.q(x) - least <= (1.0 - sigma[0] / sigma[-1]) ** iterations * -least

@@ -25,9 +25,7 @@ class NoisyProblem(DenseProblem):
         self._rng = np.random.default_rng(self.seed)
         self._factor = np.linalg.cholesky(self.A)
 
-    def gradient(
-        self, x: np.ndarray, accuracy: float, origin: np.ndarray | None = None
-    ) -> tuple[np.ndarray, float]:
+    def gradient(self, x: np.ndarray, accuracy: float) -> tuple[np.ndarray, float]:
         """Return A x - b with an error e such that sqrt(e'A^-1 e) is `accuracy`."""
         error = self._rng.standard_normal(len(x))
         error *= accuracy / np.linalg.norm(error)

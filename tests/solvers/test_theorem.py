@@ -59,14 +59,6 @@ def test_gimssn_decreases_q_at_the_rate_of_the_theorem(problem, rho_sigma, seed)
     assert applies or rho_sigma > 1.9
 
 
-@settings(max_examples=60)
-@given(problems(most_decades=3.0), st.sampled_from([0.3, 1.0, 1.6, 1.99]), st.integers(0, 10**6))
-def test_projected_newton_decreases_q_at_the_rate_of_the_theorem(problem, rho_sigma, seed):
-    found = run(problem, start=start_of(problem, seed), rho_sigma=rho_sigma, rtol=1e-10)
-    smallest = np.linalg.eigvalsh(problem.A)[0]
-    check_rate(problem, found.q, max(0.0, 1.0 - found.rho * smallest))
-
-
 @pytest.mark.parametrize("method", ["gimssn", "projected_newton"])
 @pytest.mark.parametrize("top", [2.0, 5.0])
 def test_q_falls_even_where_the_load_hides_the_largest_eigenvalue(method, top):

@@ -2,8 +2,7 @@
 
 - `DualOperator`: a product is one solve with K; every one is counted.
 - `NearField`: a cheap approximation of A, with the bodies clamped some cells from the contact.
-- `sparse_model`, `dense_model`: A as a matrix, for many small bodies or for few multipliers;
-  `SurfaceCompliance` keeps what pairings with the same K share.
+- `sparse_model`, `dense_model`: A as a matrix, for many small bodies or for few multipliers.
 - `ContactCompliance`: all of them for one B and one K, computed when first needed.
 
 Read first: `operator.DualOperator.product`, `compliance.ContactCompliance.known_products`.

@@ -17,7 +17,6 @@ from dolfinx_tresca.dual.mesh_error import DiscretisationError
 from dolfinx_tresca.dual.products.near_field import NearField
 from dolfinx_tresca.dual.products.operator import (
     DualOperator,
-    SurfaceCompliance,
     dense_model,
     sparse_model,
 )
@@ -53,7 +52,6 @@ class ContactCompliance(PetscOwner):
         jump: JumpOperator,
         solver: StiffnessSolver,
         springs: FixingSprings | None,
-        surface: SurfaceCompliance | None = None,
     ) -> None:
         """Compute the data that every solve needs. Collective.
 
@@ -61,8 +59,6 @@ class ContactCompliance(PetscOwner):
             jump: B.
             solver: solver for the system's K plus the springs.
             springs: springs that fix floating and softly held bodies; None if there are none.
-            surface: compliance of the surfaces, which pairings with the same K share; None: it is
-                not computed, as it does not pay for one pairing.
 
         Raises:
             StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
@@ -75,7 +71,6 @@ class ContactCompliance(PetscOwner):
                 _ = self.certificate  # now, since it raises errors of the scene
             self.operator = DualOperator(jump, solver)
         self._store: KnownProducts | None = None
-        self._surface = surface
 
     def destroy(self) -> None:
         """Free the PETSc objects, and those of the solver. Collective."""
@@ -86,7 +81,6 @@ class ContactCompliance(PetscOwner):
         vars(self).pop("certificate", None)
         if "near_field" in vars(self):
             self.near_field.destroy()
-        self.operator.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.
@@ -95,9 +89,7 @@ class ContactCompliance(PetscOwner):
         K need not be factored: surfaces are also paired after a factorisation has failed.
         """
         self._destroy_but_solver()
-        solver, shares = self.operator.solver, jump.system.component is None
-        surface = self._surface or (SurfaceCompliance() if solver.exact and shares else None)
-        return ContactCompliance(jump, solver, self.springs, surface)
+        return ContactCompliance(jump, self.operator.solver, self.springs)
 
     @cached_property
     def floating(self) -> FloatingBodies | None:
@@ -154,7 +146,7 @@ class ContactCompliance(PetscOwner):
         """
         if not isinstance(self._store, WholeModel):
             compliance = np.reciprocal(self.nodal_stiffness)
-            model = dense_model(self.operator, compliance, self._surface)
+            model = dense_model(self.operator, compliance)
             self._store = self._store if model is None else model
         return isinstance(self._store, WholeModel)
 

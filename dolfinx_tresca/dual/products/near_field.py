@@ -29,78 +29,33 @@ LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 MOST_UNKNOWNS = 3000
 
 
-class CoarseSpace(PetscOwner):
-    """The approximation P (P'KP)^-1 P' of K^-1 by a multigrid level with few unknowns.
+def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None:
+    """Return the factors of P'KP for the largest multigrid level that is small enough.
 
-    The columns of P are the basis displacements of the level: they move bodies as a whole.
+    The columns of P are the basis displacements of the level (`MOST_UNKNOWNS`): they move bodies as
+    a whole. The caller owns the result. Collective.
 
-    Owns PETSc objects: call `destroy()`. The multigrid hierarchy keeps its own objects.
+    Args:
+        pc: a preconditioner, whose multigrid levels are searched.
+
+    Returns:
+        the interpolations whose product is P, the finest first, and the factors; None if the
+        preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
     """
-
-    def __init__(self, interpolations: list[PETSc.Mat], K: PETSc.Mat) -> None:
-        """Factor the matrix of the level. Collective.
-
-        Args:
-            interpolations: interpolation from each level to the finer one, the finest first.
-            K: matrix P'KP of the level.
-
-        Raises:
-            StiffnessError: the matrix is not positive definite.
-        """
-        self._interpolations = interpolations
-        matrix = K.convert("aij", PETSc.Mat())
-        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        try:
-            self._solver = cholesky(matrix, {}, None)
-        finally:
-            matrix.destroy()
-        self._levels = [P.createVecRight() for P in interpolations]
-        self._coarsest = self._levels[-1].duplicate()
-        self.comm = self._coarsest.comm
-
-    @classmethod
-    def from_preconditioner(cls, pc: PETSc.PC) -> CoarseSpace | None:
-        """Return the largest level that is small enough (`MOST_UNKNOWNS`). Collective.
-
-        Args:
-            pc: a preconditioner, whose multigrid levels are searched.
-
-        Returns:
-            the level; None if the preconditioner is not multigrid, if no level is small enough, or
-            if the level cannot be factored.
-        """
-        interpolations: list[PETSc.Mat] = []
-        while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
-            for level in range(pc.getMGLevels() - 1, 0, -1):
-                interpolations.append(pc.getMGInterpolation(level))
-                K = pc.getMGSmoother(level - 1).getOperators()[0]
-                if K.getSize()[0] <= MOST_UNKNOWNS:
-                    try:
-                        return cls(interpolations, K)
-                    except StiffnessError:  # multigrid may work with a singular level
-                        return None
-            pc = pc.getMGSmoother(0).getPC()
-        return None
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        # the hierarchy refers to the interpolations as well; on several ranks, an interpolation is
-        # never freed if Python drops its reference after the hierarchy is destroyed
-        for owned in (self._solver, self._coarsest, *self._levels, *self._interpolations):
-            owned.destroy()
-
-    def correct(self, residual: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Add P (P'KP)^-1 P' residual to u. Collective."""
-        above = residual
-        for P, level in zip(self._interpolations, self._levels, strict=True):
-            P.multTranspose(above, level)
-            above = level
-        self._solver.solve(above, self._coarsest)
-        below = self._coarsest
-        for P, level in zip(self._interpolations[:0:-1], self._levels[-2::-1], strict=True):
-            P.mult(below, level)
-            below = level
-        self._interpolations[0].multAdd(below, u, u)
+    interpolations: list[PETSc.Mat] = []
+    while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
+        for level in range(pc.getMGLevels() - 1, 0, -1):
+            interpolations.append(pc.getMGInterpolation(level))
+            matrix = pc.getMGSmoother(level - 1).getOperators()[0]
+            if matrix.getSize()[0] <= MOST_UNKNOWNS:
+                matrix = matrix.convert("aij", PETSc.Mat())
+                matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+                try:
+                    return interpolations, cholesky(matrix, {}, None)
+                except StiffnessError:  # multigrid may work with a singular level
+                    return None
+        pc = pc.getMGSmoother(0).getPC()
+    return None
 
 
 class NearField(PetscOwner):
@@ -147,16 +102,23 @@ class NearField(PetscOwner):
         K_local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._local = cholesky(K_local, {}, None)
         self._local_u, self._local_f = K_local.createVecs()
-        self._u, self._left = K.createVecs()
-        self._coarse = CoarseSpace.from_preconditioner(solver.preconditioner)
-        # the rows of K that couple the local degrees of freedom with all degrees of freedom
-        self._rows = K.createSubMatrix(rows, None) if self._coarse is not None else PETSc.Mat()
+        self._u = jump.work
+        self._coarse = coarse_level(solver.preconditioner)
+        if self._coarse is not None:
+            coarser = (P.createVecRight() for P in self._coarse[0])
+            self._residuals = [K.createVecLeft(), *coarser]
+            self._corrections = [residual.duplicate() for residual in self._residuals]
+            # the rows of K that couple the local degrees of freedom with all degrees of freedom
+            self._rows = K.createSubMatrix(rows, None)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._local.destroy()
         if self._coarse is not None:
-            self._coarse.destroy()
+            # on several ranks, an interpolation is never freed if Python drops its reference after
+            # the hierarchy, which refers to it as well
+            for owned in (*self._coarse[0], self._coarse[1]):
+                owned.destroy()
 
     def apply(self, x: Array) -> Array:
         """Return D x, (size,). Collective."""
@@ -166,9 +128,16 @@ class NearField(PetscOwner):
         self._u.set(0.0)
         self._u.array[self._dofs] = self._local_u.array
         if self._coarse is not None:
-            self._rows.multTranspose(self._local_u, self._left)
-            self._left.aypx(-1.0, force)
-            self._coarse.correct(self._left, self._u)
+            interpolations, factors = self._coarse
+            residuals, corrections = self._residuals, self._corrections
+            self._rows.multTranspose(self._local_u, residuals[0])
+            residuals[0].aypx(-1.0, force)
+            for level, P in enumerate(interpolations):
+                P.multTranspose(residuals[level], residuals[level + 1])
+            factors.solve(residuals[-1], corrections[-1])
+            for level, P in reversed(list(enumerate(interpolations))):
+                P.mult(corrections[level + 1], corrections[level])
+            self._u.axpy(1.0, corrections[0])
             self._rows.mult(self._u, self._local_f)
             self._local_f.array = force.array[self._dofs] - self._local_f.array
             self._local.solve(self._local_f, self._local_u)

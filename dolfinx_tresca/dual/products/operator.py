@@ -1,8 +1,7 @@
 """The dual operator A = B K^-1 B' on distributed vectors, and A as a matrix.
 
-The matrix is sparse for many bodies, from solves that serve all bodies at once, or dense. The dense
-matrix has a column for each multiplier. If the pairing changes while K stays, it follows
-from the compliance of all unknowns on the surfaces, which later pairings share.
+The matrix is sparse for many bodies, from solves that serve all bodies at once, or dense, with a
+column for each multiplier.
 """
 
 from __future__ import annotations
@@ -11,13 +10,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csc_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import label_bodies, labels_of
-from dolfinx_tresca._base.parallel import gather_rows
-from dolfinx_tresca._base.petsc import PetscOwner, dense_matrix, sparse_matrix
+from dolfinx_tresca._base.petsc import dense_matrix, sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.solvers.products import WholeModel
@@ -25,13 +22,13 @@ from dolfinx_tresca.stiffness.choice import SPARE_WORKSPACE
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
-class DualOperator(PetscOwner):
+class DualOperator:
     """A of (38.4), for one K: each product is one solve with K.
 
     If bodies float, K stands for K_p, which is K with springs that fix these bodies
     (`floating/fixing.py`).
 
-    Owns PETSc objects: call `destroy()`. The caller keeps B and the solver.
+    The caller keeps B and the solver.
 
     Attributes:
         jump: B.
@@ -46,11 +43,6 @@ class DualOperator(PetscOwner):
         self.comm = self.jump.comm
         self.exact = solver.exact
         self.products = 0
-        self._u = jump.matrix.createVecRight()
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        self._u.destroy()
 
     def apply(self, x: Array) -> Array:
         """Return A x to the accuracy in the solver's options; counted in `products`. Collective.
@@ -71,9 +63,10 @@ class DualOperator(PetscOwner):
             solver for K: larger than requested if the solver missed it, 0 for a direct solver.
         """
         self.products += 1
-        error = self.solver.solve(self.jump.contact_force(x), self._u)
-        self._u.array[self.jump.system.prescribed] = 0.0
-        return self.jump.of_unknowns(self._u), error
+        u = self.jump.work
+        error = self.solver.solve(self.jump.contact_force(x), u)
+        u.array[self.jump.system.prescribed] = 0.0
+        return self.jump.of_unknowns(u), error
 
     def apply_to_all(self, X: Array, B: PETSc.Mat | None = None) -> Array:
         """Return A X for X (size, k), with a direct solver for all columns together. Collective.
@@ -161,9 +154,7 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
 
 
-def dense_model(
-    operator: DualOperator, local_compliance: Array, surface: SurfaceCompliance | None = None
-) -> WholeModel | None:
+def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel | None:
     """Return A as a dense matrix: one solve with K for each multiplier, in blocks. Collective.
 
     The result is None if A is too large (`LARGEST_DENSE`, `LARGEST_DENSE_ITERATIVE`).
@@ -171,67 +162,13 @@ def dense_model(
     Args:
         operator: A. Each solve counts as a product.
         local_compliance: (size,) compliance of nodes whose neighbours are fixed.
-        surface: compliance of the surfaces, from which A follows; None: not known.
     """
     jump, size = operator.jump, operator.jump.matrix.getSize()[0]
     if size > (LARGEST_DENSE if operator.exact else LARGEST_DENSE_ITERATIVE):
         return None
     start, end = jump.matrix.getOwnershipRange()
-    rows = None if surface is None else surface.product_rows(operator)
-    if rows is None:
-        rows = _columns(operator, np.arange(start, end), size, jump.matrix)
+    rows = _columns(operator, np.arange(start, end), size, jump.matrix)
     return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
-
-
-class SurfaceCompliance:
-    """The part S of K^-1 that belongs to unknowns on contact surfaces: A = B S B' for any pairing.
-
-    S does not depend on B. Where surfaces slide on each other, or bodies turn in their frames, only
-    the unknowns that were on no former B need solves with K. S is symmetric, so these solves give
-    the new rows as well as the new columns.
-    """
-
-    def __init__(self) -> None:
-        self._numbers: npt.NDArray[np.int64] = np.empty(0, dtype=np.int64)  # global, ascending
-        self._S: Array = np.empty((0, 0))
-
-    def product_rows(self, operator: DualOperator) -> Array | None:
-        """Return this rank's rows of A (size, size on all ranks); None if B is too large.
-
-        Collective.
-
-        Args:
-            operator: A, with a direct solver for K. Each solve counts as a product.
-        """
-        jump = operator.jump
-        pointers, indices, data = jump.matrix.getValuesCSR()
-        on_surface = np.unique(indices[data != 0.0]).astype(np.int64)
-        numbers = np.unique(gather_rows(jump.comm, on_surface))
-        if len(np.union1d(numbers, self._numbers)) > LARGEST_DENSE:
-            self._numbers, self._S = self._numbers[:0], self._S[:0, :0]
-            if len(numbers) > LARGEST_DENSE:
-                return None
-        self._extend(operator, np.setdiff1d(numbers, self._numbers))
-        # columns of zeros may be missing in S
-        columns = np.searchsorted(self._numbers, indices) % max(len(self._numbers), 1)
-        B = csr_array((data, columns, pointers), (len(jump.gap), len(self._numbers)))
-        rows: Array = (B @ self._S) @ csr_array(jump.reductions.stacked(B)).T
-        return rows
-
-    def _extend(self, operator: DualOperator, added: npt.NDArray[np.int64]) -> None:
-        """Add unknowns with these global numbers, ascending, to S. Collective."""
-        jump, numbers = operator.jump, np.union1d(self._numbers, added)
-        begin, end = jump.matrix.getOwnershipRangeColumn()
-        owned = numbers[(numbers >= begin) & (numbers < end)]
-        units = (np.ones(len(owned)), owned, np.arange(len(owned) + 1))
-        selection = csr_array(units, (len(owned), jump.matrix.getSize()[1]))
-        restriction = sparse_matrix(selection, jump.matrix.getSizes()[1], jump.comm)
-        place = np.where(np.isin(owned, added), np.searchsorted(added, owned), -1)
-        columns = gather_rows(jump.comm, _columns(operator, place, len(added), restriction))
-        S, is_new = np.zeros((len(numbers), len(numbers))), np.isin(numbers, added)
-        S[np.ix_(~is_new, ~is_new)] = self._S
-        S[:, is_new], S[is_new] = columns, columns.T
-        self._numbers, self._S = numbers, S
 
 
 def _columns(operator: DualOperator, place: Indices, count: int, B: PETSc.Mat) -> Array:
