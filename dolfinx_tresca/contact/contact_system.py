@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -23,6 +22,7 @@ from dolfinx_tresca._base.parallel import (
     log,
     reduce_array,
     timed,
+    warn,
 )
 from dolfinx_tresca._base.petsc import PetscOwner, free_unused, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import SLACK
@@ -284,7 +284,7 @@ class ContactSystem(PetscOwner):
                     reason = f"The last iterate has left linear theory: {reason}"
                 solution = replace(solution, status=status, sliding=reason)
         if solution.failure:
-            log(self.comm, "%s", solution.failure, level=logging.WARNING)
+            warn(self.comm, "%s", solution.failure)
         return solution
 
     @one_thread()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
@@ -212,12 +211,11 @@ class Obstacles:
         ):
             fixed = obstacle is not None and not obstacle.constants
             if unknown and fixed and not isinstance(pair.friction, Frictionless):
-                log(
+                warn(
                     self._V.mesh.comm,
                     "contact pair %s: the distance from the obstacle has changed in a way that is "
                     "not part of the slip. With friction move the obstacle by its move_to().",
                     pair,
-                    level=logging.WARNING,
                 )
 
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:

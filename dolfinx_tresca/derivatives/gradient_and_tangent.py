@@ -94,12 +94,10 @@ def gradient(
     goals: WeightedGoals,
     controls: Sequence[Control],
     on_origin: Array | None = None,
-    on_displacement: Array | None = None,
 ) -> tuple[list[Array], Array]:
     """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
 
-    The sum may contain further terms, of which only the derivatives `on_origin` and
-    `on_displacement` are given. With the derivatives q_u and q_x of the sum with respect to u and
+    The sum may contain further terms, of which only the derivatives `on_origin` are given. With the derivatives q_u and q_x of the sum with respect to u and
     to the multipliers, the derivatives with respect to the prescribed values are q_u - B'y - K z,
     and those with respect to the radii of slipping nodes are t'(q_x - B z), with the directions t
     of the tractions.
@@ -115,8 +113,6 @@ def gradient(
         controls: the Constants and Functions.
         on_origin: (size,) derivatives of further terms with respect to the slip origin of the next
             step; None: zeros.
-        on_displacement: derivatives of further terms with respect to the values of u that this rank
-            owns; None: zeros.
 
     Returns:
         for each control the derivatives with respect to its values (for a Function, those that this
@@ -136,8 +132,6 @@ def gradient(
     on_origin = np.zeros(discs.size) if on_origin is None else on_origin
     by_next_step = np.where(moving, on_origin, 0.0)
     on_jump, on_x, on_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
-    if on_displacement is not None:
-        on_u += on_displacement[: len(on_u)]
     for weight, goal in goals:
         if not isinstance(goal, ufl.Form):
             by_jump, by_x = weights_of(goal, jump, contact.multipliers)

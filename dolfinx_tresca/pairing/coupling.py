@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any
 
 from mpi4py import MPI
@@ -19,7 +18,7 @@ from dolfinx_tresca._base.arrays import (
     Mask,
     scaled_rows,
 )
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
 from dolfinx_tresca.pairing.contact_normal import CANCELLED
 from dolfinx_tresca.pairing.group import Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
@@ -189,13 +188,12 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
     )
     inside, number = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
     if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED_PART * number:
-        log(
+        warn(
             comm,
             "contact pair %s: bodies overlap by up to %.3g, but curved surfaces are up to %.3g off "
             "their facets, a height that nodes determine to some percent only: the error of "
             "pressures may be 10 %% or more. Give ContactPair(geometry=...), or use finer facets.",
             *(pair, depth, height),
-            level=logging.WARNING,
             about=pair,
         )
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -23,7 +22,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, real
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import entities_per_cell
-from dolfinx_tresca._base.parallel import exchange, log, reduce_array
+from dolfinx_tresca._base.parallel import exchange, reduce_array, warn
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.search.facets import NEGLIGIBLE, Facets, joined, tabulate
 from dolfinx_tresca.pairing.search.self_contact import facet_origins
@@ -117,11 +116,10 @@ class PairGroup:
             number = comm.allreduce(int((belongs[:, i] & belongs[:, j]).sum()))
             if number:
                 stronger = self.pairs[i if self.rank[i] > self.rank[j] else j]
-                log(
+                warn(
                     comm,
                     "pairing: %d nodes belong to %s and to %s: they follow the law of %s, %s",
                     *(number, self.pairs[i], self.pairs[j], stronger, stronger.friction),
-                    level=logging.WARNING,
                     about=f"{self.pairs[i]}, {self.pairs[j]}",
                 )
 

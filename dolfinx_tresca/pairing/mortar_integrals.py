@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
 from dolfinx_tresca.pairing.contact_normal import SmoothSurface, contact_normals, turned_angles
 from dolfinx_tresca.pairing.search.balls import AT_ONCE, Pieces, blocks
 from dolfinx_tresca.pairing.search.facets import (
@@ -423,13 +422,12 @@ def obstacle_integrals(
         depths = [array.max(initial=0.0) for array in (depth, unseen, np.abs(points))]
         deepest, largest, extent = reduce_array(comm, depths, MPI.MAX)
         if largest > max(UNSEEN_PART * deepest, ROUNDING * extent):
-            log(
+            warn(
                 comm,
                 "contact pair %s: the obstacle enters facets by up to %.3g, and the mesh does not "
                 "see %.3g of it: forces are inaccurate, and may be zero. Use facets a third as "
                 "large as the radius of the obstacle.",
                 *(pair, deepest, largest),
-                level=logging.WARNING,
                 about=pair,
             )
     return nodes, integrals, faces

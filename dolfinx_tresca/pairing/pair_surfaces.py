@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -18,9 +17,9 @@ from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
     exchange,
     gather_rows,
-    log,
     reduce_array,
     row_of_least,
+    warn,
 )
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.coupling import couple
@@ -222,12 +221,11 @@ def _surface_nodes(
     places, _ = exchange(comm, places, places.sum(axis=1) % comm.size)
     coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
     if coincident:
-        log(
+        warn(
             comm,
             "the surface %s (%s side) has %d nodes at the place of another one: it is torn there. "
             "Merge duplicated nodes of the mesh, unless these are edges of two bodies.",
             *(pair.side(side), side, coincident),
-            level=logging.WARNING,
             about=pair.side(side),
         )
     return nodes

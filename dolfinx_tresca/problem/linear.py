@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -16,7 +15,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import agreed_observer, log
+from dolfinx_tresca._base.parallel import agreed_observer, warn
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
@@ -280,11 +279,10 @@ class ContactProblem(ContactProcess):
         solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
         solution = self._contact.checked(solve(self._contact, options, self.units, observe))
         if self._contact.linear.outdated:
-            log(
+            warn(
                 self.comm,
                 "coefficients of the form a have changed since K was factored: this solution is "
                 "for the earlier values, until update_stiffness() is called",
-                level=logging.WARNING,
             )
         return solution
 

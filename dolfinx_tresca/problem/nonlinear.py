@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,7 +13,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import warn
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
@@ -356,21 +355,19 @@ class NonlinearContactProblem(ContactProcess):
         if run.solution is not None and run.fraction == 1.0:
             released, snaps = self._contact.balance.released(run.start, run.solution.dissipation)
         if snaps:
-            log(
+            warn(
                 self._contact.comm,
                 "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
                 "stored nor dissipated by friction. A quasi-static solution does not tell the path "
                 "to this equilibrium",
                 *(self._solves, released),
-                level=logging.WARNING,
             )
         if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
-            log(
+            warn(
                 self._contact.comm,
                 "solve number %d took %d Newton steps: its change of load is too large, or bodies "
                 "snap or are unstable. More load steps, each with a smaller change, may be faster",
                 *(self._solves, len(run.steps)),
-                level=logging.WARNING,
             )
         if run.solution is None:
             raise StiffnessError(

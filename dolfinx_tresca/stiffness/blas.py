@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-import logging
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import warn
 
 #: Environment variables by which users set the number of OpenBLAS's threads.
 THREAD_VARIABLES = {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"}
@@ -28,12 +27,11 @@ def warn_of_slow_blas() -> None:
     """Log a warning if this process uses the reference BLAS, at the first call only."""
     path = reference_blas(loaded_libraries())
     if path is not None:
-        log(
+        warn(
             MPI.COMM_SELF,
             "the reference BLAS is in use (%s): factorisations take 5 to 8 times as long as with "
             "OpenBLAS; on Debian install libopenblas0-pthread",
             path,
-            level=logging.WARNING,
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping
 from itertools import count
 from typing import Any
@@ -12,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR
-from dolfinx_tresca._base.parallel import log
+from dolfinx_tresca._base.parallel import warn
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
@@ -247,13 +246,12 @@ class StiffnessSolver(PetscOwner):
                     raise self._failure()
             if not self._warned:  # once, since further solves will miss the tolerance, too
                 self._warned = True
-                log(
+                warn(
                     self.comm,
                     "the %s solver for K stopped after %d iterations, by PETSc's reason %d, with "
                     "an error of %.1e in the energy norm, and misses its tolerance; further ones "
                     "are not reported. Try stiffness='cholesky', or other petsc_options.",
                     *(self.name, iterations, reason, error),
-                    level=logging.WARNING,
                 )
         return error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,7 +14,7 @@ import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, row_of_least
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, row_of_least, warn
 from dolfinx_tresca.errors import InputError, MeshError, PairingError
 from dolfinx_tresca.pairing.search.facets import (
     MESH_ROUNDING,
@@ -173,13 +172,12 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
     try:
         return _offset_sides(V, geometry, sides, ON_SURFACE)
     except (InputError, MeshError) as error:
-        log(
+        warn(
             V.mesh.comm,
             "contact pair %s: the curved surfaces in the file from which Gmsh made the mesh are "
             "not used: %s Smooth surfaces through the nodes take their place, as with "
             "ContactPair(geometry={}).",
             *(pair, f"{error}".rstrip(".") + "."),
-            level=logging.WARNING,
             about=str(pair),
         )
         return sides
