@@ -97,10 +97,10 @@ def gradient(
 ) -> tuple[list[Array], Array]:
     """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
 
-    The sum may contain further terms, of which only the derivatives `on_origin` are given. With the derivatives q_u and q_x of the sum with respect to u and
-    to the multipliers, the derivatives with respect to the prescribed values are q_u - B'y - K z,
-    and those with respect to the radii of slipping nodes are t'(q_x - B z), with the directions t
-    of the tractions.
+    The sum may contain further terms, of which only the derivatives `on_origin` are given. With the
+    derivatives q_u and q_x of the sum with respect to u and to the multipliers, the derivatives
+    with respect to the prescribed values are q_u - B'y - K z, and those with respect to the radii
+    of slipping nodes are t'(q_x - B z), with the directions t of the tractions.
 
     The derivative with respect to the slip origin s is y, like the derivative with respect to the
     gap. A node that stuck in the previous load step keeps the s of this previous step; for any
