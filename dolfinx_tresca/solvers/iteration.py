@@ -30,7 +30,7 @@ from dolfinx_tresca.solvers.problem import (
     KnownProducts,
     Point,
 )
-from dolfinx_tresca.solvers.products import ProductStore, WholeModel
+from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, WholeModel
 from dolfinx_tresca.solvers.semismooth_newton import NewtonPoint, solve_model
 from dolfinx_tresca.status import ContactStatus
 
@@ -151,16 +151,21 @@ class Iterate:
             self.store.add(new, added)
             product = product + added
         self.learned = len(self.store) != before
-        part = self._part_to_take(direction, product)
-        self.x, self.r, self.c = self.x + part * direction, self.r + part * product, c
+        taken = self._part_to_take(direction, product)
+        self.x, self.r, self.c = self.x + taken * direction, self.r + taken * product, c
 
     def _part_to_take(self, direction: Array, product: Array) -> float:
-        """Return the part of a step, at most 1, with the least q; 1 if q need not decrease."""
-        curvature = float(self._problem.inner(direction, product))
-        if not self.must_descend or curvature <= 0.0:
+        """Return the part of a step, at most 1, with the least q; 1 if q need not decrease.
+
+        The part is also 1 if the change of q is rounding, while that of the gradient is not.
+        """
+        problem = self._problem
+        slope = float(problem.inner(direction, self.r))
+        curvature = float(problem.inner(direction, product))
+        rounding = PRODUCT_ROUNDING * norm(problem, self.x) * norm(problem, self.r)
+        if not self.must_descend or -slope <= rounding or curvature <= 0.0:
             return 1.0
-        slope = float(self._problem.inner(direction, self.r))
-        return min(max(-slope / curvature, 0.0), 1.0)
+        return min(-slope / curvature, 1.0)
 
     def begin_at(self, x: Array) -> None:
         """Set the point to initial multipliers x (size,), and compute the gradient. Collective.
@@ -223,9 +228,9 @@ class InexactIterate(Iterate):
         self.learned = self.store.add(direction, product, error + self.error)
         if self.learned:
             self._part = FORCING
-        part = self._part_to_take(direction, product)
-        self.x, self.r = self.x + part * direction, self.r + part * product
-        self.error = (1.0 - part) * self.error + part * error
+        taken = self._part_to_take(direction, product)
+        self.x, self.r = self.x + taken * direction, self.r + taken * product
+        self.error = (1.0 - taken) * self.error + taken * error
 
     def increase_accuracy(self) -> None:
         """Compute the gradient and later products more accurately, if that is possible."""

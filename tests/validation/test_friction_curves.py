@@ -49,8 +49,9 @@ LAWS: dict[str, Coulomb] = {
 
 def bound(law: Coulomb, slip: float, pressure: float = PRESSURE) -> float:
     """Return the slip bound of a law [MPa]."""
-    assert law.curve is not None
-    of_pressure = float(law.curve.values(np.array([pressure]), np.array([slip]))[0]) * pressure
+    curve = law.terms.curve
+    assert curve is not None
+    of_pressure = float(curve.values(np.array([pressure]), np.array([slip]))[0]) * pressure
     limit = np.inf if law.limit is None else law.limit
     return law.adhesion + min(of_pressure, limit)
 
