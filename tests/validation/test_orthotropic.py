@@ -193,7 +193,7 @@ def test_a_block_starts_to_slide_at_its_coefficient_along_each_axis(comm, axis, 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_on_a_curved_obstacle_the_direction_is_projected(comm, degree):
     """On a sphere each node has the axes of the projected direction."""
-    sphere = RigidSphere(center=(0.5, 0.5, -2.0), radius=2.0)
+    sphere = RigidSphere(center=(0.5, 0.5, -4.0), radius=4.0)
     bounds, direction = BLOCK_BOUND * np.array([1.0, 0.2]), np.array([1.0, 0.5, 0.3])
     model = block(
         comm,
@@ -208,7 +208,7 @@ def test_on_a_curved_obstacle_the_direction_is_projected(comm, degree):
         global_vector(comm, places, values)
         for values in (places, fields["normal"], fields["slip"], fields["traction"])
     )
-    towards = np.array([0.5, 0.5, -2.0]) - points
+    towards = np.array([0.5, 0.5, -4.0]) - points
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     assert np.abs(normals - towards).max() <= 0.1
     first = direction - (normals @ direction)[:, None] * normals
