@@ -32,7 +32,7 @@ RUNS = {
     ),
     "pairing": ("--facets 100", "seconds"),
     "assemblies": ("--bricks 2", "weight_products"),
-    "reports": ("--small", "seconds"),
+    "reports": ("--small --scenes strips piles hook gears taper", "seconds"),
     "fixed_points": ("--number 3 --coefficients 3 --ways all", "found"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
     "guaranteed": ("--scenes slips --sizes 4", "bound"),
@@ -93,6 +93,13 @@ def test_benchmark(tmp_path, monkeypatch, capsys, name):
     for table in importlib.import_module(name).BENCHMARK.tables:
         if table.lines(rows):
             assert table.markdown(rows) in printed
+
+
+@pytest.mark.long
+def test_all_scenes_of_the_reports(tmp_path, monkeypatch):
+    result = tmp_path / "rows.json"
+    run(monkeypatch, "reports", "--small", "--here", "--changed", "--json", result)
+    assert {row["scene"] for row in kept(result)} == set(importlib.import_module("reports").SCENES)
 
 
 def test_pairing_takes_as_much_memory_as_the_page_says(tmp_path, monkeypatch):
