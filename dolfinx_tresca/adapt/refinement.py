@@ -56,6 +56,13 @@ def refine(
     mesh is unchanged, and stays in memory as long as the new mesh, for which it is a level of
     `stiffness="multigrid"`.
 
+    Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
+    this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
+    New nodes on other facets stay on the old flat facets. For other curved surfaces, or none::
+
+        surfaces = {tagged_mesh.tags["ball"]: on_ball}  # function from points (3, n) to (3, n)
+        tagged_mesh = dataclasses.replace(tagged_mesh, geometry=surfaces)
+
     Args:
         tagged_mesh: mesh of triangles or tetrahedra with straight edges; `cell_tags` may be None.
         cell_errors: error of each cell [energy^(1/2), or any other unit]: the function
@@ -65,13 +72,6 @@ def refine(
             together are refined. With a small part few cells are cut each time, and there are more
             meshes to solve on. With 1 all edges of all cells are bisected, which is uniform
             refinement.
-
-    Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
-    this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
-    New nodes on other facets stay on the old flat facets. For other curved surfaces, or none::
-
-        surfaces = {tagged_mesh.tags["ball"]: on_ball}  # function from points (3, n) to (3, n)
-        tagged_mesh = dataclasses.replace(tagged_mesh, geometry=surfaces)
 
     Raises:
         InputError: an argument is wrong, the mesh has cells that cannot be bisected, or the
