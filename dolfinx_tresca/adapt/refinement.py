@@ -53,8 +53,7 @@ def refine(
     New cells and facets have the tags of the cells and facets that contain them. The new mesh is
     partitioned independently of the old mesh, so cells may move to other ranks; it has ghost cells
     if the old mesh had some. On any number of ranks it is the same up to its numbering. The old
-    mesh is unchanged, and stays in memory as long as the new mesh, for which it is a level of
-    `stiffness="multigrid"`.
+    mesh is unchanged.
 
     Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
     this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
