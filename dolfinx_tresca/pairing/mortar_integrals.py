@@ -50,6 +50,10 @@ FACET_LENGTH = 2.0
 #: on a cylinder with cells of a third of its radius is 9 to 18 % too large, instead of 0 to 7 %.
 RESOLVED_ANGLE = math.radians(10.0)
 
+#: Angle [rad] over a facet from which on an obstacle that enters the facet is warned of: forces of
+#: cylinders are then right to a quarter, those of balls to a factor of 1.7.
+COARSE_ANGLE = 3.0 * RESOLVED_ANGLE
+
 #: Height over its nearest point up to which an obstacle is seen, relative to its height over the
 #: corners of a facet whose middle it touches. With half of it a cylinder as small as the facets is
 #: pressed with up to 1.5 times the force; with 1.5 times of it, with half the force.
@@ -419,15 +423,20 @@ def obstacle_integrals(
     if not moved:
         depth = -distance.min(axis=1, initial=0.0)
         unseen = depth - np.maximum(-seen[facing], 0.0)
-        depths = [array.max(initial=0.0) for array in (depth, unseen, np.abs(points))]
-        deepest, largest, extent = reduce_array(comm, depths, MPI.MAX)
-        if largest > max(UNSEEN_PART * deepest, ROUNDING * extent):
+        angle = turns[facing] * (depth > 0.0)
+        arrays = (depth, unseen, angle, np.abs(points))
+        sizes = [array.max(initial=0.0) for array in arrays]
+        deepest, largest, angle, extent = reduce_array(comm, sizes, MPI.MAX)
+        rounding = ROUNDING * extent
+        is_coarse = angle > COARSE_ANGLE and deepest > rounding
+        if is_coarse or largest > max(UNSEEN_PART * deepest, rounding):
             warn(
                 comm,
                 "contact pair %s: the obstacle enters facets by up to %.3g, and the mesh does not "
-                "see %.3g of it: forces are inaccurate, and may be zero. Use facets a third as "
-                "large as the radius of the obstacle.",
-                *(pair, deepest, largest),
+                "see %.3g of it; its normal turns by %.0f degrees over a facet: forces are "
+                "inaccurate, and may be zero. Use facets a third as large as the radius of the "
+                "obstacle.",
+                *(pair, deepest, largest, math.degrees(angle)),
                 about=pair,
             )
     return nodes, integrals, faces

@@ -336,7 +336,7 @@ def test_an_obstacle_smaller_than_facets_is_seen_between_nodes(comm, sliding):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize(("radius", "warned"), [(0.5, True), (4.0, False)])
+@pytest.mark.parametrize(("radius", "warned"), [(0.5, True), (1.5, True), (4.0, False)])
 def test_what_the_mesh_does_not_see_of_an_obstacle_is_told(comm, caplog, radius, warned):
     V, tags, held = block(comm, 1.0)
     ball = RigidSphere(center=(3.5, 2.0 + radius - 0.1), radius=radius)
