@@ -424,9 +424,8 @@ def obstacle_integrals(
         depth = -distance.min(axis=1, initial=0.0)
         unseen = depth - np.maximum(-seen[facing], 0.0)
         angle = turns[facing] * (depth > 0.0)
-        arrays = (depth, unseen, angle, np.abs(points))
-        sizes = [array.max(initial=0.0) for array in arrays]
-        deepest, largest, angle, extent = reduce_array(comm, sizes, MPI.MAX)
+        greatest = [array.max(initial=0.0) for array in (depth, unseen, angle, np.abs(points))]
+        deepest, largest, angle, extent = reduce_array(comm, greatest, MPI.MAX)
         rounding = ROUNDING * extent
         is_coarse = angle > COARSE_ANGLE and deepest > rounding
         if is_coarse or largest > max(UNSEEN_PART * deepest, rounding):
