@@ -158,12 +158,15 @@ class Iterate:
         """Return the part of a step, at most 1, with the least q; 1 if q need not decrease.
 
         The part is also 1 if the change of q is rounding, while that of the gradient is not.
+        Collective.
         """
+        if not self.must_descend:
+            return 1.0
         problem = self._problem
         slope = float(problem.inner(direction, self.r))
         curvature = float(problem.inner(direction, product))
         rounding = PRODUCT_ROUNDING * norm(problem, self.x) * norm(problem, self.r)
-        if not self.must_descend or -slope <= rounding or curvature <= 0.0:
+        if -slope <= rounding or curvature <= 0.0:
             return 1.0
         return min(-slope / curvature, 1.0)
 

@@ -68,16 +68,15 @@ class DualOperator:
         u.array[self.jump.system.prescribed] = 0.0
         return self.jump.of_unknowns(u), error
 
-    def apply_to_all(self, X: Array, B: PETSc.Mat | None = None) -> Array:
+    def apply_to_all(self, X: Array, B: PETSc.Mat) -> Array:
         """Return A X for X (size, k), with a direct solver for all columns together. Collective.
 
         This costs far less than k single products. Each column is counted in `products`.
 
         Args:
             X: (size, k) multipliers.
-            B: matrix that replaces the matrix of jumps in A = B K^-1 B'; None: it is not replaced.
+            B: the matrix of jumps in A = B K^-1 B', or a matrix that replaces it.
         """
-        B = B or self.jump.matrix
         self.products += X.shape[1]
         multipliers = dense_matrix(X, self.comm)
         forces = B.transposeMatMult(multipliers)
