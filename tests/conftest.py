@@ -7,7 +7,6 @@ import gc
 import sys
 import time
 import zlib
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -72,10 +71,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = sample(items, part)
 
 
-#: Number of cases of a test from which on the first sample has half of them on one rank.
-MANY_CASES = 4
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that leaves out a part of the tests."""
     parser.addoption(
@@ -88,26 +83,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def sample(items: list[pytest.Item], part: str) -> list[pytest.Item]:
     """Return a part of the tests, selected by a hash of their names.
 
-    "first" is for all days: on one rank all tests, but half of the cases of those with many; on 2
-    ranks half; on 3 ranks an eighth, none of which run on two (three processes on two cores take
-    longest: half a second a test). "second" is for another DOLFINx: on one rank the other half of
-    many cases, and a quarter of all other tests; on 2 ranks the other half; on 3 ranks another
-    eighth.
+    "first" is for all days, "second" for another DOLFINx: each has half of the tests on one rank, a
+    quarter of the parallel ones on 2 ranks and a sixteenth on 3 (three processes on two cores take
+    longest: half a second a test). Tests that one sample has on several ranks are those that the
+    other has on one rank.
     """
-
-    def test_of(item: pytest.Item) -> str:
-        return item.nodeid.partition("[")[0]
-
-    cases = Counter(map(test_of, items))
     ranks, second = MPI.COMM_WORLD.size, part == "second"
 
     def is_selected(item: pytest.Item) -> bool:
         number = zlib.crc32(item.nodeid.encode())
-        if ranks > 2:
-            return number % 8 == 3 - second
-        if ranks == 2 or cases[test_of(item)] >= MANY_CASES:
+        if ranks == 1:
             return number % 2 == second
-        return number % 4 == 1 or not second
+        return number % 4 == 1 - second if ranks == 2 else number % 16 == 3 - second
 
     return list(filter(is_selected, items))
 

@@ -75,7 +75,9 @@ def test_load_steps(comm, kind):
     assert abs(again.friction) <= abs(bound.friction) + ROUNDING * bound.error**2
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize(
+    "seed", [*range(6), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(6, 20))]
+)
 def test_never_below_the_error_on_random_scenes(seed, comm):
     rng = np.random.default_rng(seed)
     for kind in ("lifts", "slips"):
