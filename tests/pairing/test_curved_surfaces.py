@@ -35,7 +35,7 @@ def test_concentric_spheres_are_as_far_apart_as_their_radii(comm, kind, degree):
         )  # fmt: skip
         operators = scene.operators()
         x = points_of(scene, operators)
-        away_from_rim = np.abs(x[:, :axis] / x[:, axis, None]).max(axis=1) < 0.3
+        away_from_rim = np.abs(x[:, :axis] / x[:, axis, None]).max(axis=1) < 0.25
         errors.append(np.abs(operators.gap - GAP)[away_from_rim].max())
     assert errors[0] < 1e-4
     assert np.log2(errors[0] / errors[1]) > 3.5
