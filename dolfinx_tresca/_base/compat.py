@@ -11,7 +11,6 @@ import numpy as np
 
 import dolfinx
 import dolfinx.mesh
-from dolfinx.cpp.fem import DirichletBC_float64
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca.errors import ContactError
@@ -132,11 +131,6 @@ def contains(V: Any, bc: Any) -> bool:
     """Return whether a Dirichlet condition is on V or on a subspace of V."""
     space = bc.function_space  # a C++ object in 0.9
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
-
-
-def is_float64(bc: Any) -> bool:
-    """Return whether the values of a Dirichlet condition are of type float64."""
-    return isinstance(bc._cpp_object, DirichletBC_float64)
 
 
 # DOLFINx 0.11 deprecates `dofmap` in favour of `dofmaps`, one for each type of cell.
