@@ -98,14 +98,14 @@ def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function, for `collective`, that finds the communicator among the named arguments.
 
-    The function returns the communicator of the first argument that has a mesh. Arguments without a
-    mesh, which may be wrong, are passed over.
+    The function returns the first argument that is a communicator, or has a mesh. Arguments without
+    a mesh, which may be wrong, are passed over.
     """
     return lambda given: _mesh_comm([given.get(name) for name in names])
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return the communicator of the mesh on which a value is defined; None if it has no mesh."""
+    """Return a communicator, or that of the mesh on which a value is defined; None if none."""
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
@@ -114,8 +114,8 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
         value = value.function_space
     elif isinstance(value, fem.Form):
         value = value._cpp_object
-    comm = getattr(getattr(value, "mesh", None), "comm", None)
-    return comm if isinstance(comm, MPI.Comm) else None
+    comm = getattr(getattr(value, "mesh", None), "comm", value)
+    return comm if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL else None
 
 
 def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:

@@ -110,7 +110,7 @@ class GmshGeometry:
             if self.content is not None:
                 path = Path(folder) / "model.brep"
                 path.write_bytes(self.content)
-            open_file(gmsh, path, self.parameters, unit=self.unit, reopened=True)
+            open_file(gmsh, path, self.parameters, unit=self.unit)
             yield gmsh.model
 
 
