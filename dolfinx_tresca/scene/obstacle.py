@@ -172,13 +172,12 @@ class RigidObstacle:
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
-        values = [np.ravel(constant.value) for constant in self.constants]
         given = self.given_forces
         held = None if given is None else [given.force(), given.moment(), given.free, given.about]
         return {
             "name": self._name,
             "motion": self.motion.matrix,
-            "constants": values,
+            "constants": [np.ravel(constant.value) for constant in self.constants],
             "given forces": held,
         }
 
@@ -298,17 +297,14 @@ class RigidObstacle:
             return np.zeros(0), np.zeros((0, 3))
         returned = self._moved_distance(np.ascontiguousarray(points.T))
         try:
-            distance, normal = (real_array(array) for array in returned)
+            distance, normal = map(real_array, returned)
+            if distance.shape != (n,) or normal.shape != (3, n):
+                raise ValueError(f"found shapes {distance.shape} and {normal.shape}")
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"the signed distance of {self} must return two arrays, distances of shape (n,) "
-                f"and normals of shape (3, n): {error}."
+                f"the signed distance of {self} must return two arrays, distances of shape ({n},) "
+                f"and normals of shape (3, {n}) for {n} points: {error}."
             ) from error
-        if distance.shape != (n,) or normal.shape != (3, n):
-            raise InputError(
-                f"the signed distance of {self} must return distances of shape ({n},) and normals "
-                f"of shape (3, {n}) for {n} points, found {distance.shape} and {normal.shape}."
-            )
         length = np.linalg.norm(normal, axis=0)
         wrong = ~(np.isfinite(distance) & (np.abs(length - 1.0) < 1e-6))
         if wrong.any():
