@@ -251,7 +251,7 @@ REFUSED = {
         lambda s: {"petsc_options": "ksp_rtol"},
     ),
     "name of an option": (
-        "petsc_options must be a mapping .*found {3: 4}",
+        "a name in petsc_options must be a string, found 3",
         lambda s: {"petsc_options": {3: 4}},
     ),
     "prefix": (
