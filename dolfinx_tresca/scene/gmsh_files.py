@@ -16,7 +16,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, MeshError, shown
 
 #: Endings of the names of CAD files, and of all files that Gmsh reads here.
-CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs")
+CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs", ".xao")
 SUFFIXES = (".geo", ".msh", *CAD_SUFFIXES)
 
 #: Units of length of coordinates from STEP and IGES files -> the kernel's name.

@@ -21,7 +21,7 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry
+from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry, curved_groups
 from dolfinx_tresca.scene.gmsh_files import (
     CAD_SUFFIXES,
     CELLS_PER_TURN,
@@ -223,7 +223,8 @@ def _meshed(
     _check_facets(gmsh.model, source)
     _number_nodes(gmsh.model)
     if suffix in (".geo", *CAD_SUFFIXES):
-        return groups, GmshGeometry.from_open_file(gmsh, source, parameters, unit)
+        curved = curved_groups(gmsh.model)
+        return groups, GmshGeometry(source.resolve(), parameters, curved, unit)
     return groups, None if is_file else GmshGeometry.from_shapes(gmsh)
 
 
