@@ -129,10 +129,10 @@ def read_gmsh(
     Collective. The first rank runs Gmsh, then the mesh is distributed.
 
     Args:
-        path: a file `.step`, `.stp`, `.brep`, `.iges`, `.igs`, `.geo` or `.msh`; or `gmsh.model` of
-            the first rank's session, whose curved surfaces are then known, as those of `.geo` and
-            CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo`
-            and `.msh` files all cells, and all facets with tags, are in physical groups. Of CAD
+        path: a file `.step`, `.stp`, `.brep`, `.xao`, `.iges`, `.igs`, `.geo` or `.msh`; or
+            `gmsh.model` of the first rank's session, whose curved surfaces are then known, as those
+            of `.geo` and CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo` and
+            `.msh` files all cells, and all facets with tags, are in physical groups. Of CAD
             files, and of a `gmsh.model` without groups, each body and each face has a tag, and its
             label in the file as name; without label `body 1`, and `body 1/2` for its second face.
         comm: communicator of the mesh.
