@@ -89,12 +89,6 @@ def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
     return _comms[-1]
 
 
-def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
-    """Return the communicator of the object whose method is decorated by `collective`."""
-    comm: MPI.Comm = given["self"].comm
-    return comm
-
-
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function, for `collective`, that finds the communicator among the named arguments.
 
@@ -104,8 +98,12 @@ def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     return lambda given: _mesh_comm([given.get(name) for name in names])
 
 
+#: Function, for `collective`, that finds the communicator of the object whose method is decorated.
+comm_of_self = comm_of("self")
+
+
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return a communicator, or that of the mesh on which a value is defined; None if none."""
+    """Return a communicator, or that of a value or of its mesh; None if there is none."""
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
@@ -114,8 +112,11 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
         value = value.function_space
     elif isinstance(value, fem.Form):
         value = value._cpp_object
-    comm = getattr(getattr(value, "mesh", None), "comm", value)
-    return comm if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL else None
+    of_mesh = getattr(getattr(value, "mesh", None), "comm", None)
+    for comm in (value, getattr(value, "comm", None), of_mesh):
+        if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL:
+            return comm
+    return None
 
 
 def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:

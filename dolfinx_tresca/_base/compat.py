@@ -87,15 +87,6 @@ def create_submesh(
     return submesh, nodes, {submesh: inverse}
 
 
-def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
-    """Return whether a mesh is the parent or the submesh of one of the entity maps."""
-    if isinstance(entity_maps, dict):
-        return any(mapped_mesh._cpp_object is mesh._cpp_object for mapped_mesh in entity_maps)
-    topology = mesh.topology
-    mapped = ((entity_map.topology, entity_map.sub_topology) for entity_map in entity_maps)
-    return any(_same(topology, side) for both in mapped for side in both)
-
-
 def owned_dofs(bc: Any, owned: int) -> Any:
     """Return the degrees of freedom of this rank that a condition prescribes. Not collective.
 
@@ -110,13 +101,9 @@ def owned_dofs(bc: Any, owned: int) -> Any:
 
 
 def same_topology(tags: Any, mesh: Any) -> bool:
-    """Return whether tags belong to a mesh."""
-    return _same(tags.topology, mesh.topology)
-
-
-def _same(left: Any, right: Any) -> bool:
-    """Return whether two topologies are the same; since DOLFINx 0.10 some have a Python wrapper."""
-    return getattr(left, "_cpp_object", left) is getattr(right, "_cpp_object", right)
+    """Return whether tags belong to a mesh; since DOLFINx 0.10 some topologies have a wrapper."""
+    left, right = (getattr(t, "_cpp_object", t) for t in (tags.topology, mesh.topology))
+    return left is right
 
 
 def with_one_tag(tags: Any, selected: Mask, tag: int) -> Any:

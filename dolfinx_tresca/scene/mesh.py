@@ -167,7 +167,12 @@ def read_gmsh(
         )
     geometry: GmshGeometry | None = None
     if isinstance(path, tuple):
-        mesh, cell_tags, facet_tags = _checked_data(path)
+        mesh, cell_tags, facet_tags = path[:3]
+        if not (isinstance(cell_tags, MeshTags) and isinstance(facet_tags, MeshTags)):
+            raise InputError(
+                "the result of model_to_mesh must have tags of cells and of facets: put the bodies "
+                "and their surfaces into physical groups."
+            )
         named = getattr(path, "physical_groups", {})
         groups = [(dim, tag, name) for name, (dim, tag) in named.items()]
     else:
@@ -226,20 +231,6 @@ def _meshed(
         curved = curved_groups(gmsh.model)
         return groups, GmshGeometry(source.resolve(), parameters, curved, unit)
     return groups, None if is_file else GmshGeometry.from_shapes(gmsh)
-
-
-def _checked_data(data: Any) -> Any:
-    """Return mesh, cell tags and facet tags of a result of `dolfinx.io.gmsh.model_to_mesh`.
-
-    Raises:
-        InputError: the data have no tags of cells or of facets.
-    """
-    if not all(isinstance(tags, MeshTags) for tags in data[1:3]):
-        raise InputError(
-            "the result of model_to_mesh must have tags of cells and of facets: put the bodies and "
-            "their surfaces into physical groups."
-        )
-    return data[:3]
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:

@@ -28,7 +28,6 @@ from dolfinx_tresca._base.compat import (
     EntityMaps,
     collapse,
     contains,
-    maps_mesh,
     same_topology,
 )
 from dolfinx_tresca._base.functions import zero_like
@@ -56,8 +55,7 @@ def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) ->
     if not isinstance(form, ufl.Form):
         return form
     for coefficient in form.coefficients():
-        own_mesh = coefficient.function_space.mesh
-        if own_mesh != mesh and not maps_mesh(entity_maps or [], own_mesh):
+        if coefficient.function_space.mesh != mesh and not entity_maps:
             raise InputError(
                 f"the form {name} holds the Function '{coefficient.name}' on another mesh than the "
                 "problem's. For a field on a contact surface take solution.on_mesh(...), or give "
