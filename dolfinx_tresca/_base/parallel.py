@@ -194,9 +194,7 @@ class RankReductions:
 
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; on the other ranks, x may differ by rounding. Collective."""
-        array = np.array(x, dtype=np.float64, order="C")
-        self.comm.Bcast(array, root=0)
-        return array
+        return np.array(self.comm.bcast(x), dtype=np.float64)
 
 
 _exchange_logger = logging.getLogger("dolfinx_tresca.exchange")

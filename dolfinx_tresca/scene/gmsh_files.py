@@ -237,22 +237,20 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
         checked_number("a size of cells", value)
     fields: list[int] = []
 
-    def field(kind: str, lists: Mapping[str, Any], **numbers: float) -> int:
-        tag = int(model.mesh.field.add(kind))
-        for option, value in numbers.items():
-            model.mesh.field.setNumber(tag, option, value)
-        for option, value in lists.items():
-            model.mesh.field.setNumbers(tag, option, value)
+    def field(kind: str, **settings: float | list[int]) -> int:
+        tag, new = int(model.mesh.field.add(kind)), model.mesh.field
+        for option, value in settings.items():
+            (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
         return tag
 
     sizes: dict[int, float] = {}
     faces: dict[int, list[int]] = {}
-    listed = {3: "VolumesList", 2: "SurfacesList"}[dim]
+    listed, listed_faces = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
     for body, tag in groups.items():
         for entity in map(int, model.getEntitiesForPhysicalGroup(dim, tag)):
             content = model.occ.getMass(dim, entity)
             sizes[entity] = float(given.get(body, content ** (1.0 / dim) / 6.0))
-            fields.append(field("Constant", {listed: [entity]}, VIn=sizes[entity]))
+            fields.append(field("Constant", VIn=sizes[entity], **{listed: [entity]}))
             boundary = model.getBoundary([(dim, entity)], oriented=False)
             faces[entity] = [abs(face) for _, face in boundary]
     boxes = {face: _box(model, dim - 1, face) for of_body in faces.values() for face in of_body}
@@ -265,13 +263,12 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
             if (boxes[face][0] <= high + cells).all() and (boxes[face][1] >= low - cells).all()
         ]
         if near:
-            kind = {3: "SurfacesList", 2: "CurvesList"}[dim]
-            distance = field("Distance", {kind: sorted(near)}, Sampling=20)
+            distance = field("Distance", Sampling=20, **{listed_faces: sorted(near)})
             limits = {"SizeMin": 0.5 * cells, "SizeMax": cells}
             limits |= {"DistMin": 0.5 * cells, "DistMax": 3.0 * cells}
-            growing = field("Threshold", {}, InField=distance, **limits)
-            fields.append(field("Restrict", {listed: [entity]}, InField=growing))
-    model.mesh.field.setAsBackgroundMesh(field("Min", {"FieldsList": fields}))
+            growing = field("Threshold", InField=distance, **limits)
+            fields.append(field("Restrict", InField=growing, **{listed: [entity]}))
+    model.mesh.field.setAsBackgroundMesh(field("Min", FieldsList=fields))
 
 
 def _box(model: Any, dim: int, entity: int) -> Array:

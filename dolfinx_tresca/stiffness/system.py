@@ -111,8 +111,7 @@ class LinearSystem(PetscOwner):
             check_meridian(self.V.mesh)
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
-        self.loads, self._forms = L, {"a": a, "L": L}
-        self.entity_maps = entity_maps
+        self.loads, self.entity_maps = L, entity_maps
         self._a = compiled("a", a, self.V.mesh, entity_maps)
         self._L = compiled("L", L, self.V.mesh, entity_maps)
         self._is_matrix = isinstance(self._a, PETSc.Mat)
@@ -150,8 +149,8 @@ class LinearSystem(PetscOwner):
         Raises:
             InputError: a or L is not a UFL form.
         """
-        a, L = self._forms["a"], self._forms["L"]
-        if not isinstance(a, ufl.Form) or not (L is None or isinstance(L, ufl.Form)):
+        a, L = self.form, self.loads
+        if a is None or not isinstance(L, ufl.Form | None):
             raise InputError(
                 "a derivative needs a and L as forms of UFL, and one of them is compiled or a "
                 "matrix. Give the forms."
@@ -160,7 +159,7 @@ class LinearSystem(PetscOwner):
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the forms and conditions, which the ranks compare. Not collective."""
-        return {**self._forms, "bcs": self.bcs}
+        return {"a": self.form, "L": self.loads, "bcs": self.bcs}
 
     def check_displacement(self, name: str, u: Any, choices: str = "") -> None:
         """Check that u is a displacement of this system. Collective.
