@@ -12,7 +12,7 @@ import numpy as np
 import dolfinx
 import dolfinx.mesh
 
-from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.errors import ContactError
 
 # DOLFINx 0.10 renamed io.gmshio to io.gmsh, and its model_to_mesh returns a record, not a 3-tuple.
@@ -106,10 +106,9 @@ def same_topology(tags: Any, mesh: Any) -> bool:
     return left is right
 
 
-def with_one_tag(tags: Any, selected: Mask, tag: int) -> Any:
-    """Return new tags, in which the tagged entities that a mask (n,) selects have the same tag."""
+def with_values(tags: Any, values: LocalNumbers) -> Any:
+    """Return tags of the same entities with other values (n,)."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
-    values = np.where(selected, np.int32(tag), tags.values)
     kind = type(tags._cpp_object)
     return dolfinx.mesh.MeshTags(kind(topology, tags.dim, tags.indices, values))
 

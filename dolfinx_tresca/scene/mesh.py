@@ -78,13 +78,12 @@ class MergedTags(NamedTags):
     def __init__(self, given: MeshTags, lists: Sequence[Sequence[int]]) -> None:
         self.given, self.merged = given, {tags[0]: tuple(tags) for tags in lists}
         names = dict(given.names) if isinstance(given, NamedTags) else {}
-        tags = given
+        values = given.values.copy()
         for lowest_tag, merged in self.merged.items():
-            if len(merged) > 1:
-                names[lowest_tag] = abridged_names(merged, given)
-            tags = compat.with_one_tag(tags, np.isin(given.values, merged), lowest_tag)
+            names[lowest_tag] = abridged_names(merged, given)
+            values[np.isin(values, merged)] = lowest_tag
         of_given = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
-        super().__init__(tags, names, *of_given)
+        super().__init__(compat.with_values(given, values), names, *of_given)
 
 
 @dataclass(frozen=True)
