@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR
 from dolfinx_tresca._base.parallel import warn
-from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 
@@ -95,26 +95,23 @@ class StiffnessSolver(PetscOwner):
         self._ksp.setOperators(K)
         options = PETSc.Options(prefix)
         mine = {key: value for key, value in defaults.items() if not options.hasName(key)}
-        mine.update(petsc_options)
+        mine |= petsc_options
         for key, value in mine.items():
             options[key] = value
         try:
-            prepare(self._ksp.getPC())
-            self._ksp.setFromOptions()
-            if self._ksp.getTolerances()[3] < 1:  # PETSc would write beyond an empty array
-                raise InputError("ksp_max_it must be at least 1, found 0.")
-            self._ksp.setComputeEigenvalues(True)
-            self._ksp.setUp()
-            check(self._ksp)
+            with destroyed_on_error(self):
+                prepare(self._ksp.getPC())
+                self._ksp.setFromOptions()
+                if self._ksp.getTolerances()[3] < 1:  # PETSc would write beyond an empty array
+                    raise InputError("ksp_max_it must be at least 1, found 0.")
+                self._ksp.setComputeEigenvalues(True)
+                self._ksp.setUp()
+                check(self._ksp)
         except PETSc.Error as error:
-            self.destroy()
             raise StiffnessError(
                 f"setting up the {name} solver for K failed: {error}. Check the material data, "
                 "the PETSc options, and whether memory suffices."
             ) from error
-        except ContactError:
-            self.destroy()
-            raise
         finally:
             for key in mine:
                 del options[key]
