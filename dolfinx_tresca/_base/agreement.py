@@ -17,11 +17,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import real
-from dolfinx_tresca._base.parallel import (
-    errors_on_all_ranks,
-    mark_raised_on_all_ranks,
-    raised_on_all_ranks,
-)
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, mark_raised_on_all_ranks
 from dolfinx_tresca.errors import InputError
 
 _P = ParamSpec("_P")
@@ -63,19 +59,16 @@ def collective(
             ranks = comm(dict(zip(signature.parameters, args, strict=False)) | kwargs)
             if ranks is None and _comms:
                 ranks = _comms[-1]
+
+            def values() -> dict[str, Any]:
+                bound = signature.bind(*args, **kwargs)
+                bound.apply_defaults()
+                given = bound.arguments
+                extra = {} if extra_values is None else extra_values(given.get("self"))
+                compared = [name for name in given if name not in ("self", *ignored)]
+                return {**extra, **{name: given[name] for name in compared}}
+
             if ranks is not None and ranks.size > 1:
-
-                def values() -> dict[str, Any]:
-                    try:
-                        bound = signature.bind(*args, **kwargs)
-                    except TypeError as error:
-                        raise TypeError(f"{function.__qualname__}() {error}") from None
-                    bound.apply_defaults()
-                    given = bound.arguments
-                    extra = {} if extra_values is None else extra_values(given.get("self"))
-                    compared = [name for name in given if name not in ("self", *ignored)]
-                    return {**extra, **{name: given[name] for name in compared}}
-
                 check_agreement(ranks, function.__qualname__, values)
             return function(*args, **kwargs)
 
@@ -91,31 +84,26 @@ def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
     the same duplicate.
     """
     same = (MPI.IDENT, MPI.CONGRUENT)
-    for number, duplicate in enumerate(_comms):
-        if MPI.Comm.Compare(duplicate, comm) in same:
-            _comms.append(_comms.pop(number))  # the communicator used last is at the end
-            return duplicate
-    _comms.append(comm.Dup() if comm.size > 1 else MPI.COMM_SELF)
+    numbers = [k for k, own in enumerate(_comms) if MPI.Comm.Compare(own, comm) in same]
+    _comms.append(_comms.pop(numbers[0]) if numbers else comm.Dup())
     return _comms[-1]
-
-
-def comm_of_self(given: Mapping[str, Any]) -> MPI.Comm:
-    """Return the communicator of the object whose method is decorated by `collective`."""
-    comm: MPI.Comm = given["self"].comm
-    return comm
 
 
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function, for `collective`, that finds the communicator among the named arguments.
 
-    The function returns the communicator of the first argument that has a mesh. Arguments without a
-    mesh, which may be wrong, are passed over.
+    The function returns the first argument that is a communicator, or has a mesh. Arguments without
+    a mesh, which may be wrong, are passed over.
     """
     return lambda given: _mesh_comm([given.get(name) for name in names])
 
 
+#: Function, for `collective`, that finds the communicator of the object whose method is decorated.
+comm_of_self = comm_of("self")
+
+
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return the communicator of the mesh on which a value is defined; None if it has no mesh."""
+    """Return a communicator, or that of a value or of its mesh; None if there is none."""
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
@@ -124,8 +112,11 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
         value = value.function_space
     elif isinstance(value, fem.Form):
         value = value._cpp_object
-    comm = getattr(getattr(value, "mesh", None), "comm", None)
-    return comm if isinstance(comm, MPI.Comm) else None
+    of_mesh = getattr(getattr(value, "mesh", None), "comm", None)
+    for comm in (value, getattr(value, "comm", None), of_mesh):
+        if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL:
+            return comm
+    return None
 
 
 def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:
@@ -146,21 +137,12 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
         BaseException: the exception of the function; see `errors_on_all_ranks`.
     """
     results: list[_T] = []
-    error: BaseException | None = None
-    try:
-        results.append(function())
-    except (Exception, KeyboardInterrupt, SystemExit) as caught:
-        if comm.size == 1 or raised_on_all_ranks(caught):
-            raise
-        error = caught
 
     def no_values() -> dict[str, Any]:
-        if error is not None:
-            raise error
+        results.append(function())
         return {}
 
-    if comm.size > 1:
-        check_agreement(comm, f"the end of {name}", no_values)
+    check_agreement(comm, f"the end of {name}", no_values)
     return results[0]
 
 
@@ -183,7 +165,9 @@ def check_agreement(
     """
     comm = _comm_of_group(comm)
     with errors_on_all_ranks(comm):
-        texts = dict(_described("", values()))
+        texts: dict[str, str] = {}
+        for name, value in values().items():
+            texts.update(_described(name, value))
     digest = hashlib.blake2b(repr((where, texts)).encode(), digest_size=16).digest()
     if len(set(comm.allgather(digest))) > 1:
         raise mark_raised_on_all_ranks(_difference(comm.allgather((where, texts))))
@@ -213,26 +197,24 @@ def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputErr
 
 
 def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Yield name and text of a value, or of each of its parts; no name: of the parts alone.
+    """Yield name and text of a value, and of each of its parts.
 
     The texts are equal on all ranks if the values agree. Meshes, and values of Functions, are
     distributed and not compared.
     """
-    items: dict[str, Any] | None = None
     if hasattr(value, "values_to_agree"):
         items = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}
     elif dataclasses.is_dataclass(value) and type(value).__module__.startswith("dolfinx_tresca."):
         names = [field.name for field in dataclasses.fields(value) if field.init]
         items = {f"{name}.{key}": getattr(value, key) for key in names}
     elif isinstance(value, Mapping):
-        items = {f"{name}[{key!r}]" if name else key: item for key, item in value.items()}
+        items = {f"{name}[{key!r}]": item for key, item in value.items()}
     elif isinstance(value, list | tuple) and not all(real(item) is not None for item in value):
         items = {f"{name}[{index}]": item for index, item in enumerate(value)}
-    if items is None:
+    else:
         yield name, _text(value)
         return
-    if name:
-        yield name, f"{type(value).__name__} of {len(items)}"
+    yield name, f"{type(value).__name__} of {len(items)}"
     for key, item in items.items():
         yield from _described(key, item)
 
@@ -259,10 +241,6 @@ def _text(value: Any) -> str:
             signature = "none"
         return f"a form with the signature {signature} and constants {constants}"
     if isinstance(value, np.ndarray | list | tuple):
-        array = np.asarray(value)
-        entries = array.astype(float) if array.dtype.kind in "iuf" else array
         # points and directions are compared; larger arrays, such as fields, are not
-        return str(entries.tolist()) if array.size <= 16 else "an array"
-    if callable(value) and not isinstance(value, type | ufl.core.expr.Expr):
-        return "a function"
+        return str(np.asarray(value).tolist()) if np.size(value) <= 16 else "an array"
     return f"an object of type {type(value).__name__}"

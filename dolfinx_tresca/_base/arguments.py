@@ -78,6 +78,23 @@ def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) ->
     return vector
 
 
+def check_type(name: str, value: Any, kinds: Any, wanted: str, advice: str = "") -> None:
+    """Check the type of an argument.
+
+    Args:
+        name: the name of the argument.
+        value: the argument.
+        kinds: the type, or the union of types, that it may have.
+        wanted: description of the type that is wanted, for the error message.
+        advice: a further sentence of the error message.
+
+    Raises:
+        InputError: the argument has another type.
+    """
+    if not isinstance(value, kinds):
+        raise InputError(f"{name} must be {wanted}, found {shown(value)}.{advice}")
+
+
 def check_word(name: str, value: Any, choices: Sequence[str]) -> None:
     """Check that a value is one of several words.
 

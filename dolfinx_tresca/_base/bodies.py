@@ -48,11 +48,10 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     _, merged = connected_components(graph, directed=False)
     body, number = merged[local], int(merged.max(initial=-1)) + 1
 
-    bounds = body_bounds(V, body, number)
-    least_node = np.full(number, np.iinfo(np.int64).max)
-    in_file = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[geometry_dofmap(mesh)]
-    np.minimum.at(least_node, body[cells[: len(in_file), 0]], in_file.min(axis=1))
-    in_file = reduce_array(comm, least_node, MPI.MIN)
+    bounds = _ranges(comm, body, number, V.tabulate_dof_coordinates())
+    in_file = np.asarray(mesh.geometry.input_global_indices)[geometry_dofmap(mesh)]
+    body_of_cell = body[cells[: len(in_file), 0]]
+    in_file = _ranges(comm, body_of_cell, number, in_file.min(axis=1, keepdims=True))[:, 0]
     # steps between sorted coordinates that are rounding do not count
     places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
     for place, values in zip(places.T, bounds.T, strict=True):
@@ -83,14 +82,21 @@ def labels_of(
     return labels
 
 
-def body_bounds(V: Any, body: npt.NDArray[Any], number: int) -> Array:
-    """Return the bounds (number, 6) of the bodies: least x, y, z, then largest. Collective."""
-    points = V.tabulate_dof_coordinates()
-    bounds: Array = np.full((number, 6), np.inf)
-    np.minimum.at(bounds, body, np.hstack([points, -points]))
-    bounds = reduce_array(V.mesh.comm, bounds, MPI.MIN)
-    bounds[:, 3:] *= -1.0
-    return bounds
+def _ranges(comm: MPI.Comm, body: npt.NDArray[Any], number: int, values: Array) -> Array:
+    """Return the least values of each body, and then the largest (number, 2 k). Collective.
+
+    Args:
+        comm: the communicator.
+        body: (n,) the body of each value.
+        number: number of bodies.
+        values: (n, k) values on this rank.
+    """
+    k = values.shape[1]
+    ranges: Array = np.full((number, 2 * k), np.inf)
+    np.minimum.at(ranges, body, np.hstack([values, -values]))
+    ranges = reduce_array(comm, ranges, MPI.MIN)
+    ranges[:, k:] *= -1.0
+    return ranges
 
 
 @dataclass(frozen=True)
@@ -125,7 +131,7 @@ class Bodies:
         """
         label = label_bodies(V)
         number = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
-        bounds = body_bounds(V, label, number)
+        bounds = _ranges(V.mesh.comm, label, number, V.tabulate_dof_coordinates())
         tag_names = _tag_names(V, label, number, cell_tags)
         label = label[: V.dofmap.index_map.size_local]
         centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
@@ -202,13 +208,11 @@ def _tag_names(V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: Any)
     if cell_tags is None:
         return ("",) * number
     body_of_cell = body[V.dofmap.list[:, 0]]
-    tag = np.full(len(body_of_cell), np.iinfo(np.int32).max, dtype=np.int64)
-    tag[cell_tags.indices] = cell_tags.values
-    bounds = np.full((number, 2), np.iinfo(np.int64).max)
-    np.minimum.at(bounds, body_of_cell, np.column_stack([tag, -tag]))
+    tag = np.full((len(body_of_cell), 1), np.inf)
+    tag[cell_tags.indices, 0] = cell_tags.values
     return tuple(
-        cell_tags.names.get(int(least), "") if least == -negated else ""
-        for least, negated in reduce_array(V.mesh.comm, bounds, MPI.MIN)
+        cell_tags.names.get(least, "") if least == largest else ""
+        for least, largest in _ranges(V.mesh.comm, body_of_cell, number, tag)
     )
 
 

@@ -11,9 +11,8 @@ import numpy as np
 
 import dolfinx
 import dolfinx.mesh
-from dolfinx.cpp.fem import DirichletBC_float64
 
-from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.errors import ContactError
 
 # DOLFINx 0.10 renamed io.gmshio to io.gmsh, and its model_to_mesh returns a record, not a 3-tuple.
@@ -88,15 +87,6 @@ def create_submesh(
     return submesh, nodes, {submesh: inverse}
 
 
-def maps_mesh(entity_maps: EntityMaps, mesh: Any) -> bool:
-    """Return whether a mesh is the parent or the submesh of one of the entity maps."""
-    if isinstance(entity_maps, dict):
-        return any(mapped_mesh._cpp_object is mesh._cpp_object for mapped_mesh in entity_maps)
-    topology = mesh.topology
-    mapped = ((entity_map.topology, entity_map.sub_topology) for entity_map in entity_maps)
-    return any(_same(topology, side) for both in mapped for side in both)
-
-
 def owned_dofs(bc: Any, owned: int) -> Any:
     """Return the degrees of freedom of this rank that a condition prescribes. Not collective.
 
@@ -111,19 +101,14 @@ def owned_dofs(bc: Any, owned: int) -> Any:
 
 
 def same_topology(tags: Any, mesh: Any) -> bool:
-    """Return whether tags belong to a mesh."""
-    return _same(tags.topology, mesh.topology)
+    """Return whether tags belong to a mesh; since DOLFINx 0.10 some topologies have a wrapper."""
+    left, right = (getattr(t, "_cpp_object", t) for t in (tags.topology, mesh.topology))
+    return left is right
 
 
-def _same(left: Any, right: Any) -> bool:
-    """Return whether two topologies are the same; since DOLFINx 0.10 some have a Python wrapper."""
-    return getattr(left, "_cpp_object", left) is getattr(right, "_cpp_object", right)
-
-
-def with_one_tag(tags: Any, selected: Mask, tag: int) -> Any:
-    """Return new tags, in which the tagged entities that a mask (n,) selects have the same tag."""
+def with_values(tags: Any, values: LocalNumbers) -> Any:
+    """Return tags of the same entities with other values (n,)."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
-    values = np.where(selected, np.int32(tag), tags.values)
     kind = type(tags._cpp_object)
     return dolfinx.mesh.MeshTags(kind(topology, tags.dim, tags.indices, values))
 
@@ -132,11 +117,6 @@ def contains(V: Any, bc: Any) -> bool:
     """Return whether a Dirichlet condition is on V or on a subspace of V."""
     space = bc.function_space  # a C++ object in 0.9
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
-
-
-def is_float64(bc: Any) -> bool:
-    """Return whether the values of a Dirichlet condition are of type float64."""
-    return isinstance(bc._cpp_object, DirichletBC_float64)
 
 
 # DOLFINx 0.11 deprecates `dofmap` in favour of `dofmaps`, one for each type of cell.

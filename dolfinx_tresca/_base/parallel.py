@@ -10,9 +10,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
-from math import prod
 from typing import Any, TypeVar
 
 from mpi4py import MPI
@@ -49,11 +47,8 @@ _logger = logging.getLogger("dolfinx_tresca")
 #: The last warnings of this process, for reports; more of them would hide the result.
 RECENT_WARNINGS: deque[str] = deque(maxlen=20)
 
-#: Warnings (message, subject) logged so far in a block of `each_warning_once`; None outside of such
-#: a block.
-_logged_warnings: ContextVar[set[tuple[str, str]] | None] = ContextVar(
-    "_logged_warnings", default=None
-)
+#: Warnings (message, subject) logged so far in each of the nested blocks of `each_warning_once`.
+_logged_warnings: list[set[tuple[str, str]]] = []
 
 
 @contextmanager
@@ -62,11 +57,11 @@ def each_warning_once() -> Iterator[None]:
 
     This context manager serves functions that solve one problem on many meshes. Not collective.
     """
-    token = _logged_warnings.set(set())
+    _logged_warnings.append(set())
     try:
         yield
     finally:
-        _logged_warnings.reset(token)
+        _logged_warnings.pop()
 
 
 def log(
@@ -86,11 +81,10 @@ def log(
         return
     if level >= logging.WARNING:
         RECENT_WARNINGS.append(message % args)
-    logged = _logged_warnings.get()
-    if logged is not None and level == logging.WARNING:
-        if (message, about) in logged:
+    if _logged_warnings and level == logging.WARNING:
+        if (message, about) in _logged_warnings[-1]:
             return
-        logged.add((message, about))
+        _logged_warnings[-1].add((message, about))
     if _logger.isEnabledFor(level):
         _logger.log(level, "%s", fill(message % args))
 
@@ -105,7 +99,9 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     """Raise on every rank an exception that the enclosed block raised on any rank.
 
     Without this, the remaining ranks would wait for ever in their next collective call. The block
-    itself must not communicate, since a rank that has raised takes no part in communication.
+    itself must not communicate, since a rank that has raised takes no part in communication. It may
+    call collective functions of this package: their exceptions are raised on all ranks already, and
+    pass.
 
     Collective: all ranks enter and leave together.
 
@@ -118,6 +114,8 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     try:
         yield
     except (Exception, KeyboardInterrupt, SystemExit) as caught:
+        if comm.size == 1 or getattr(caught, "on_all_ranks", False):
+            raise
         error = caught
     failed = comm.allreduce(comm.rank if error is not None else comm.size, op=MPI.MIN)
     if failed == comm.size:
@@ -128,13 +126,8 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
 
 def mark_raised_on_all_ranks(error: BaseException) -> BaseException:
     """Mark an exception as one that all ranks raise together, and return it."""
-    error.__dict__["_on_all_ranks"] = True
+    error.__dict__["on_all_ranks"] = True
     return error
-
-
-def raised_on_all_ranks(error: BaseException) -> bool:
-    """Return whether `mark_raised_on_all_ranks` has marked an exception."""
-    return bool(error.__dict__.get("_on_all_ranks", False))
 
 
 def picklable(error: BaseException | None) -> BaseException | None:
@@ -201,9 +194,7 @@ class RankReductions:
 
     def from_first_rank(self, x: Array) -> Array:
         """Return the first rank's x; on the other ranks, x may differ by rounding. Collective."""
-        array = np.array(x, dtype=np.float64, order="C")
-        self.comm.Bcast(array, root=0)
-        return array
+        return np.array(self.comm.bcast(x), dtype=np.float64)
 
 
 _exchange_logger = logging.getLogger("dolfinx_tresca.exchange")
@@ -227,19 +218,11 @@ def exchange(
     """
     if comm.size == 1:
         return rows, np.asarray(ranks, dtype=np.intp)
-    sent = np.ascontiguousarray(rows[np.argsort(ranks, kind="stable")])
-    counts = np.bincount(ranks, minlength=comm.size).astype(np.intc)
-    incoming = np.empty_like(counts)
-    comm.Alltoall(counts, incoming)
-    received = np.empty((int(incoming.sum()), *rows.shape[1:]), dtype=rows.dtype)
-    _exchange_logger.debug("%d bytes to %d ranks", sent.nbytes, np.count_nonzero(counts))
-    row = MPI.BYTE.Create_contiguous(rows.dtype.itemsize * prod(rows.shape[1:])).Commit()
-    comm.Alltoallv(
-        [_bytes(sent), counts, row],
-        [_bytes(received), incoming, row],
-    )
-    row.Free()
-    return received, np.repeat(np.arange(comm.size), incoming)
+    counts = np.bincount(ranks, minlength=comm.size)
+    _exchange_logger.debug("%d bytes to %d ranks", rows.nbytes, np.count_nonzero(counts))
+    sent = np.split(rows[np.argsort(ranks, kind="stable")], np.cumsum(counts)[:-1])
+    received = comm.alltoall(sent)
+    return np.concatenate(received), np.repeat(np.arange(comm.size), list(map(len, received)))
 
 
 def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
@@ -273,10 +256,6 @@ def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any])
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 
-def _bytes(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    return rows.reshape(-1).view(np.uint8)
-
-
 _T = TypeVar("_T")
 
 
@@ -303,7 +282,6 @@ def agreed_observer(
         return lambda progress: False
 
     def any_rank_stops(progress: _T) -> bool:
-        stop = False
         with errors_on_all_ranks(comm):
             stop = observer is not None and bool(observer(progress))
         return bool(comm.allreduce(stop, op=MPI.LOR))

@@ -299,12 +299,8 @@ class Coulomb(DryFriction):
                 not a vector.
         """
         name = "the coefficient of friction"
-        if curve_of(self.coefficient) is None:
+        if curve_of(self.coefficient) is None or self.direction is not None:
             _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
-        elif self.direction is not None:
-            raise InputError(
-                f"a direction needs two values of {name}, found one function of pressure and slip."
-            )
         pair = self.coefficient if isinstance(self.coefficient, tuple) else (self.coefficient,)
         if any(math.isinf(real(value) or 0.0) for value in pair):
             raise InputError(
@@ -334,7 +330,7 @@ class Coulomb(DryFriction):
 
 
 def _check_bound(
-    bound: Bound, direction: VectorField | None, name: str, rounding: float = math.inf
+    bound: Any, direction: VectorField | None, name: str, rounding: float = math.inf
 ) -> None:
     """Check the type of one bound, or of two bounds and their direction.
 
@@ -342,25 +338,18 @@ def _check_bound(
         InputError: `direction` is missing for two bounds, or given for one bound; see also
             `check_scalar_field` and `check_vector_field`.
     """
-    if not isinstance(bound, tuple):
-        check_scalar_field(bound, name, rounding)
-        if direction is not None:
-            raise InputError(
-                f"a direction needs two values of {name}, along it and across it, found one: "
-                f"{field_text(bound)}."
-            )
-        return
-    if len(bound) != 2:
+    values = bound if isinstance(bound, tuple) else (bound,)
+    if len(values) != (1 if direction is None else 2):
+        given = "no direction" if direction is None else "a direction"
         raise InputError(
-            f"{name} must be one value, or two of them with a direction, found {len(bound)}."
+            f"{name} must be one value, or two values with a direction, along which the first one "
+            f"holds, such as direction=(1, 0, 0); found {len(values)} and {given}."
         )
-    for value, side in zip(bound, DIRECTION_NAMES, strict=True):
-        check_scalar_field(value, f"{name} {side}", rounding)
     if direction is None:
-        raise InputError(
-            f"two values of {name} need a direction, along which the first one holds, such as "
-            "direction=(1, 0, 0)."
-        )
+        check_scalar_field(bound, name, rounding)
+        return
+    for value, side in zip(values, DIRECTION_NAMES, strict=True):
+        check_scalar_field(value, f"{name} {side}", rounding)
     check_vector_field(direction, f"the direction of {name}")
 
 

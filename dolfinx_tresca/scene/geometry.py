@@ -41,7 +41,7 @@ class GmshGeometry:
         curved: tag of a physical group of facets that has a curved part -> Gmsh's numbers of all
             surfaces in the group.
         unit: unit of length of the mesh, for STEP and IGES files.
-        content: shapes of a model without file, as text of a `.brep` file.
+        content: shapes of a model without file, as text of a `.xao` file.
     """
 
     path: Path
@@ -51,56 +51,16 @@ class GmshGeometry:
     content: bytes | None = field(default=None, repr=False)
 
     @classmethod
-    def from_open_file(
-        cls, gmsh: Any, path: Path, parameters: Mapping[str, float], unit: str = "mm"
-    ) -> GmshGeometry:
-        """Find the groups of curved surfaces in the file that is open in Gmsh.
-
-        Args:
-            gmsh: the module.
-            path: path of the open file.
-            parameters: values of the names that the file declares with `DefineConstant`.
-            unit: unit of length of the mesh, for STEP and IGES files.
-        """
-        model = gmsh.model
-        dim = model.getDimension() - 1
-        curved: dict[int, tuple[int, ...]] = {}
-        for _, tag in model.getPhysicalGroups(dim):
-            entities = tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
-            if not all(_is_flat(model, dim, entity) for entity in entities):
-                curved[tag] = entities
-        return cls(path.resolve(), dict(parameters), curved, unit)
-
-    @classmethod
     def from_shapes(cls, gmsh: Any) -> GmshGeometry | None:
-        """Return the geometry of the current model; None if it has no shapes of OpenCASCADE.
-
-        The shapes are written to a `.brep` file and read again, which numbers surfaces anew. Each
-        surface is found again by its box, its centre and its area.
-        """
-        dim = gmsh.model.getDimension() - 1
-        shapes = [entity for _, entity in gmsh.model.occ.getEntities(dim)]
-        if not shapes:
+        """Return the geometry of the current model; None if it has no shapes of OpenCASCADE."""
+        if not gmsh.model.occ.getEntities(gmsh.model.getDimension() - 1):
             return None
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "shapes.brep"
+            path = Path(folder) / "shapes.xao"  # it keeps groups, in contrast to .brep
             gmsh.write(str(path))
-            content = path.read_bytes()
-        geometry = replace(cls.from_open_file(gmsh, Path("gmsh.model"), {}), content=content)
-        measures = {entity: _measures(gmsh.model, dim, entity) for entity in shapes}
-        with geometry._model() as copied:
-            copies = [entity for _, entity in copied.getEntities(dim)]
-            rows = np.array([_measures(copied, dim, entity) for entity in copies])
-        copy_of = {
-            entity: copies[int(np.abs(rows - row).max(axis=1).argmin())]
-            for entity, row in measures.items()
-        }
-        curved = {
-            tag: tuple(copy_of[entity] for entity in group)
-            for tag, group in geometry.curved.items()
-            if copy_of.keys() >= set(group)
-        }
-        return replace(geometry, curved=curved)
+            shapes = cls(Path("gmsh.model"), {}, {}, content=path.read_bytes())
+        with shapes._model() as copied:
+            return replace(shapes, curved=curved_groups(copied))
 
     @contextmanager
     def _model(self) -> Iterator[Any]:
@@ -108,10 +68,24 @@ class GmshGeometry:
         with gmsh_session() as gmsh, tempfile.TemporaryDirectory() as folder:
             path = self.path
             if self.content is not None:
-                path = Path(folder) / "model.brep"
+                path = Path(folder) / "shapes.xao"
                 path.write_bytes(self.content)
-            open_file(gmsh, path, self.parameters, unit=self.unit, reopened=True)
+            open_file(gmsh, path, self.parameters, unit=self.unit)
             yield gmsh.model
+
+
+def curved_groups(model: Any) -> dict[int, tuple[int, ...]]:
+    """Return tag -> surfaces of each group of surfaces with a curved one (in 2D: of curves)."""
+    dim = model.getDimension() - 1
+    groups = {
+        tag: tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
+        for _, tag in model.getPhysicalGroups(dim)
+    }
+    return {
+        tag: entities
+        for tag, entities in groups.items()
+        if not all(_is_flat(model, dim, entity) for entity in entities)
+    }
 
 
 #: A geometry of Gmsh, or tag of facets -> projection onto the surface that the facets approximate.
@@ -200,12 +174,6 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
     result = points.copy()
     result[:, :dim] = projected.T[:, :dim]
     return result
-
-
-def _measures(model: Any, dim: int, entity: int) -> Array:
-    """Return box, centre and area (10,) of a surface (in 2D: length of a curve)."""
-    box, centre = model.getBoundingBox(dim, entity), model.occ.getCenterOfMass(dim, entity)
-    return np.array([*box, *centre, model.occ.getMass(dim, entity)])
 
 
 def _is_flat(model: Any, dim: int, entity: int) -> bool:

@@ -6,7 +6,6 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, MeshError, shown
 
 #: Endings of the names of CAD files, and of all files that Gmsh reads here.
-CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs")
+CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs", ".xao")
 SUFFIXES = (".geo", ".msh", *CAD_SUFFIXES)
 
 #: Units of length of coordinates from STEP and IGES files -> the kernel's name.
@@ -75,14 +74,7 @@ def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
             gmsh.option.setNumber(name, value)
 
 
-def open_file(
-    gmsh: Any,
-    path: Path,
-    parameters: Mapping[str, float],
-    *,
-    unit: str = "mm",
-    reopened: bool = False,
-) -> None:
+def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: str = "mm") -> None:
     """Open a file in Gmsh.
 
     Args:
@@ -90,13 +82,10 @@ def open_file(
         path: path of the file, with one of `SUFFIXES`.
         parameters: values of names that a `.geo` file declares with `DefineConstant`.
         unit: unit of length of the coordinates, for STEP and IGES files.
-        reopened: whether the file was opened with these parameters before; their names are not
-            checked again.
 
     Raises:
-        InputError: the suffix is none of `SUFFIXES`, or the unit none of `UNITS`; a parameter is
-            unknown, is not a finite number, or is overwritten by the file; or a file that is not
-            `.geo` has parameters.
+        InputError: the suffix is none of `SUFFIXES`, or the unit none of `UNITS`; or a parameter is
+            not a finite number, or is overwritten by the file.
         MeshError: the file does not exist, or Gmsh cannot read it.
     """
     suffix = path.suffix.lower()
@@ -105,58 +94,58 @@ def open_file(
     check_word("unit", unit, tuple(UNITS))
     if not path.is_file():
         raise MeshError(f"there is no file '{path}' (looked for from '{Path.cwd()}').")
-    if suffix != ".geo" and parameters:
-        what = "a finished mesh" if suffix == ".msh" else "a CAD file"
-        raise InputError(
-            f"'{path}' is {what} and takes no parameters, found {', '.join(parameters)}. Read the "
-            ".geo file that it was made from instead."
-        )
     for name, value in parameters.items():
         checked_number(f"parameter {name} of '{path}'", value, "(-inf, inf)")
-    try:
-        if suffix in CAD_SUFFIXES:
-            gmsh.option.setString("Geometry.OCCTargetUnit", UNITS[unit])
-            for option in ("OCCSewFaces", "OCCMakeSolids"):  # IGES files have faces without order
-                gmsh.option.setNumber(f"Geometry.{option}", suffix in (".iges", ".igs"))
-        if not (reopened and parameters):
-            _parse(gmsh, path)
-            _check_names(gmsh, path, parameters)
+    if suffix in CAD_SUFFIXES:
+        gmsh.option.setString("Geometry.OCCTargetUnit", UNITS[unit])
+        for option in ("OCCSewFaces", "OCCMakeSolids"):  # IGES files have faces without order
+            gmsh.option.setNumber(f"Geometry.{option}", suffix in (".iges", ".igs"))
+    gmsh.model.add("")  # gmsh.open deletes the current model if it looks empty
+    gmsh.parser.clear()
+    gmsh.onelab.clear()
+    # if Gmsh's parser raised an error itself, the next call would continue with the rest of the
+    # file, even after gmsh.finalize()
+    with options(gmsh, {"General.AbortOnError": 0}), tempfile.TemporaryDirectory() as folder:
+        opened = path
         if parameters:
-            _open_with_parameters(gmsh, path, parameters)
-    except (InputError, MeshError):
-        raise
-    except Exception as error:  # gmsh raises nothing more specific
-        raise MeshError(f"Gmsh cannot use '{path}': {error}") from error
-
-
-def _parse(gmsh: Any, path: Path) -> None:
-    """Let Gmsh read a file to its end, and then raise the first error that Gmsh has logged.
-
-    If Gmsh's parser raised the error itself, the next call would continue with the rest of the
-    file, even after `gmsh.finalize()`.
-
-    Raises:
-        MeshError: Gmsh found an error in the file.
-    """
-    with options(gmsh, {"General.AbortOnError": 0}):
+            # DefineConstant does not change a name that is already defined: a file that sets the
+            # values and then includes the user's has the effect of Gmsh's option -setnumber
+            opened = Path(folder) / "with_parameters.geo"
+            lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
+            quote = "'" if '"' in str(path.resolve()) else '"'  # Gmsh has no escape sequence
+            lines.append(f"Include {quote}{path.resolve()}{quote};\n")
+            opened.write_text("\n".join(lines))
         gmsh.logger.start()
         try:
-            gmsh.model.add("")  # gmsh.open deletes the current model if it looks empty
-            gmsh.open(str(path))
+            gmsh.open(str(opened))
             errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
+        except Exception as error:  # gmsh raises nothing more specific
+            errors = [f"Error: {error}"]
         finally:
             gmsh.logger.stop()
     if errors:
         raise MeshError(f"Gmsh cannot use '{path}': {errors[0].partition(': ')[2]}")
+    for name, value in parameters.items():
+        actual = gmsh.parser.getNumber(name)[0]
+        if actual != float(value):
+            raise InputError(
+                f"'{path}' sets {name} = {actual:g} itself and ignores the value {float(value):g}. "
+                f"Declare it there as DefineConstant[ {name} = {actual:g} ]."
+            )
 
 
-def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Check that the open `.geo` file declares the names of all parameters.
+def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
+    """Check that a file, which is open without parameters, declares the names of parameters.
 
     Raises:
-        InputError: the file does not declare one of the names.
+        InputError: the file does not declare one of the names, or is no `.geo` file.
     """
-    names = gmsh.parser.getNames() if parameters else []
+    if path.suffix.lower() != ".geo":
+        raise InputError(
+            f"'{path}' takes no parameters, found {', '.join(parameters)}. Read the .geo file that "
+            "it was made from instead."
+        )
+    names = gmsh.parser.getNames()
     unknown = [name for name in parameters if name not in names]
     if unknown:  # Gmsh's list does not tell parameters from the file's own variables
         text = path.read_text(errors="replace")
@@ -166,33 +155,6 @@ def _check_names(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None
             f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
             f"{', '.join(declared) or 'none: declare them with DefineConstant'}."
         )
-
-
-def _open_with_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Open a `.geo` file with given values of its parameters.
-
-    Raises:
-        InputError: the file overwrites the value of a parameter.
-    """
-    # DefineConstant does not change a name that is already defined: a wrapper file that sets the
-    # values and then includes the user's file has the effect of Gmsh's option -setnumber
-    with tempfile.TemporaryDirectory() as folder:
-        wrapper = Path(folder) / "with_parameters.geo"
-        lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
-        file = str(path.resolve())
-        quote = "'" if '"' in file else '"'  # Gmsh has no escape sequence for quotes
-        wrapper.write_text("\n".join([*lines, f"Include {quote}{file}{quote};", ""]))
-        # forget the default values, which the first opening of the file has set
-        gmsh.parser.clear()
-        gmsh.onelab.clear()
-        _parse(gmsh, wrapper)
-    for name, value in parameters.items():
-        actual = gmsh.parser.getNumber(name)[0]
-        if actual != float(value):
-            raise InputError(
-                f"'{path}' sets {name} = {actual:g} itself and ignores the value {float(value):g}. "
-                f"Declare it there as DefineConstant[ {name} = {actual:g} ]."
-            )
 
 
 def name_groups(model: Any, name: str) -> None:
@@ -275,53 +237,38 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
         checked_number("a size of cells", value)
     fields: list[int] = []
 
-    def field(kind: str, lists: Mapping[str, Any], **numbers: float) -> int:
-        tag = int(model.mesh.field.add(kind))
-        for option, value in numbers.items():
-            model.mesh.field.setNumber(tag, option, value)
-        for option, value in lists.items():
-            model.mesh.field.setNumbers(tag, option, value)
+    def field(kind: str, **settings: float | list[int]) -> int:
+        tag, new = int(model.mesh.field.add(kind)), model.mesh.field
+        for option, value in settings.items():
+            (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
         return tag
 
     sizes: dict[int, float] = {}
-    listed = {3: "VolumesList", 2: "SurfacesList"}[dim]
+    faces: dict[int, list[int]] = {}
+    listed, listed_faces = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
     for body, tag in groups.items():
         for entity in map(int, model.getEntitiesForPhysicalGroup(dim, tag)):
             content = model.occ.getMass(dim, entity)
             sizes[entity] = float(given.get(body, content ** (1.0 / dim) / 6.0))
-            fields.append(field("Constant", {listed: [entity]}, VIn=sizes[entity]))
-    for entity, near in _near_faces_of_others(model, dim, sizes).items():
-        distance = field("Distance", {{3: "SurfacesList", 2: "CurvesList"}[dim]: near}, Sampling=20)
-        cells = sizes[entity]
-        limits = {"SizeMin": 0.5 * cells, "SizeMax": cells}
-        limits |= {"DistMin": 0.5 * cells, "DistMax": 3.0 * cells}
-        growing = field("Threshold", {}, InField=distance, **limits)
-        fields.append(field("Restrict", {listed: [entity]}, InField=growing))
-    model.mesh.field.setAsBackgroundMesh(field("Min", {"FieldsList": fields}))
-
-
-def _near_faces_of_others(model: Any, dim: int, sizes: Mapping[int, float]) -> dict[int, list[int]]:
-    """Return body -> the faces of other bodies that are near it, of the kernel's numbers.
-
-    They are near if their distance from a face of the body is at most the size of its cells.
-    """
-    faces = {
-        body: [abs(face) for _, face in model.getBoundary([(dim, body)], oriented=False)]
-        for body in sizes
-    }
+            fields.append(field("Constant", VIn=sizes[entity], **{listed: [entity]}))
+            boundary = model.getBoundary([(dim, entity)], oriented=False)
+            faces[entity] = [abs(face) for _, face in boundary]
     boxes = {face: _box(model, dim - 1, face) for of_body in faces.values() for face in of_body}
-    near: dict[int, set[int]] = {}
-    for both in combinations(sizes, 2):
-        reach = max(sizes[body] for body in both)
-        for face, facing in product(faces[both[0]], faces[both[1]]):
-            apart = np.maximum(boxes[face][0] - boxes[facing][1], boxes[facing][0] - boxes[face][1])
-            if np.linalg.norm(np.maximum(apart, 0.0)) > reach:
-                continue
-            distance = model.occ.getDistance(dim - 1, face, dim - 1, facing)[0]
-            for body, near_face in zip(both, (facing, face), strict=True):
-                if distance <= sizes[body]:
-                    near.setdefault(body, set()).add(near_face)
-    return {body: sorted(of_body) for body, of_body in near.items()}
+    for entity, cells in sizes.items():
+        low, high = _box(model, dim, entity)
+        near = [
+            face
+            for other_body in sizes.keys() - {entity}
+            for face in faces[other_body]
+            if (boxes[face][0] <= high + cells).all() and (boxes[face][1] >= low - cells).all()
+        ]
+        if near:
+            distance = field("Distance", Sampling=20, **{listed_faces: sorted(near)})
+            limits = {"SizeMin": 0.5 * cells, "SizeMax": cells}
+            limits |= {"DistMin": 0.5 * cells, "DistMax": 3.0 * cells}
+            growing = field("Threshold", InField=distance, **limits)
+            fields.append(field("Restrict", InField=growing, **{listed: [entity]}))
+    model.mesh.field.setAsBackgroundMesh(field("Min", FieldsList=fields))
 
 
 def _box(model: Any, dim: int, entity: int) -> Array:

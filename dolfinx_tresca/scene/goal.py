@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import numpy as np
 import numpy.typing as npt
 
-from dolfinx_tresca._base.arguments import checked_number, checked_vector
+from dolfinx_tresca._base.arguments import check_type, checked_number, checked_vector
 from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca.errors import InputError, shown
 
@@ -157,17 +156,14 @@ def checked_goal(goal: Any, pairs: int, dim: int) -> Goal:
         InputError: the argument is not a goal, its pair does not exist, or its vectors do not have
             the dimension of space.
     """
-    if not isinstance(goal, Goal):
-        raise InputError(
-            "goal must be a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm, "
-            f"found {shown(goal)}."
-        )
+    kinds = "a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm"
+    check_type("goal", goal, Goal, kinds)
     if goal.pair >= pairs:
         raise InputError(
             f"goal belongs to pair {goal.pair}, but the problem has {pairs}, numbered from 0."
         )
     for name in ("point", "direction"):
-        vector = np.asarray(getattr(goal, name, np.zeros(dim)))
-        if vector.shape != (dim,):
-            raise InputError(f"{name} of the goal must have {dim} numbers, found {shown(vector)}.")
-    return goal
+        if hasattr(goal, name):
+            checked_vector(f"{name} of the goal", getattr(goal, name), dim)
+    checked: Goal = goal
+    return checked

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,18 +14,18 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base import compat
-from dolfinx_tresca._base.agreement import collective
+from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry
+from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry, curved_groups
 from dolfinx_tresca.scene.gmsh_files import (
     CAD_SUFFIXES,
     CELLS_PER_TURN,
+    check_parameters,
     gmsh_session,
     name_groups,
     open_file,
@@ -77,13 +78,12 @@ class MergedTags(NamedTags):
     def __init__(self, given: MeshTags, lists: Sequence[Sequence[int]]) -> None:
         self.given, self.merged = given, {tags[0]: tuple(tags) for tags in lists}
         names = dict(given.names) if isinstance(given, NamedTags) else {}
-        tags = given
+        values = given.values.copy()
         for lowest_tag, merged in self.merged.items():
-            if len(merged) > 1:
-                names[lowest_tag] = abridged_names(merged, given)
-            tags = compat.with_one_tag(tags, np.isin(given.values, merged), lowest_tag)
+            names[lowest_tag] = abridged_names(merged, given)
+            values[np.isin(values, merged)] = lowest_tag
         of_given = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
-        super().__init__(tags, names, *of_given)
+        super().__init__(compat.with_values(given, values), names, *of_given)
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,7 @@ class TaggedMesh:
         return f"<TaggedMesh: {cells}, tags: {textwrap.shorten(tags, 120, placeholder=' ...')}>"
 
 
-def _comm_argument(given: Mapping[str, Any]) -> MPI.Comm | None:
-    """Return the argument `comm` if it is a communicator, else None. Not collective."""
-    comm = given.get("comm")
-    return comm if isinstance(comm, MPI.Comm) and comm != MPI.COMM_NULL else None
-
-
-@collective(_comm_argument, ignored=("path",))
+@collective(comm_of("comm"), ignored=("path",))
 def read_gmsh(
     path: Any,
     comm: MPI.Comm,
@@ -134,10 +128,10 @@ def read_gmsh(
     Collective. The first rank runs Gmsh, then the mesh is distributed.
 
     Args:
-        path: a file `.step`, `.stp`, `.brep`, `.iges`, `.igs`, `.geo` or `.msh`; or `gmsh.model` of
-            the first rank's session, whose curved surfaces are then known, as those of `.geo` and
-            CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo`
-            and `.msh` files all cells, and all facets with tags, are in physical groups. Of CAD
+        path: a file `.step`, `.stp`, `.brep`, `.xao`, `.iges`, `.igs`, `.geo` or `.msh`; or
+            `gmsh.model` of the first rank's session, whose curved surfaces are then known, as those
+            of `.geo` and CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo` and
+            `.msh` files all cells, and all facets with tags, are in physical groups. Of CAD
             files, and of a `gmsh.model` without groups, each body and each face has a tag, and its
             label in the file as name; without label `body 1`, and `body 1/2` for its second face.
         comm: communicator of the mesh.
@@ -170,35 +164,44 @@ def read_gmsh(
         raise InputError(
             f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
         )
+    geometry: GmshGeometry | None = None
     if isinstance(path, tuple):
-        return _of_mesh_data(path)
-    with ExitStack() as session:
-        model, content = None, None
-        with errors_on_all_ranks(comm):
-            if comm.rank == 0:
-                gmsh = session.enter_context(gmsh_session())
-                model, content = gmsh.model, _meshed(comm, gmsh, path, size, unit, parameters)
-        tags, names, cell_names, in_file, geometry = comm.bcast(content, root=0)
-        mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
-    owned = mesh.topology.index_map(facet_tags.dim).size_local
-    for tag, count in in_file.items():
-        read_count = comm.allreduce(int((facet_tags.find(tag) < owned).sum()))
-        _check_facets_of_cells(path, names, tag, count - read_count, count)
+        mesh, cell_tags, facet_tags = path[:3]
+        if not (isinstance(cell_tags, MeshTags) and isinstance(facet_tags, MeshTags)):
+            raise InputError(
+                "the result of model_to_mesh must have tags of cells and of facets: put the bodies "
+                "and their surfaces into physical groups."
+            )
+        named = getattr(path, "physical_groups", {})
+        groups = [(dim, tag, name) for name, (dim, tag) in named.items()]
+    else:
+        with ExitStack() as session:
+            model, content = None, None
+            with errors_on_all_ranks(comm):
+                if comm.rank == 0:
+                    gmsh = session.enter_context(gmsh_session())
+                    model, content = gmsh.model, _meshed(comm, gmsh, path, size, unit, parameters)
+            groups, geometry = comm.bcast(content, root=0)
+            mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
     if geometry is None:
         log(comm, "curved surfaces are not known: gaps follow from the nodes and their normals")
     elif not geometry.curved:
         geometry = None
-    cells = NamedTags(cell_tags, cell_names)
-    return TaggedMesh(mesh, cells, NamedTags(facet_tags, names, cells, geometry), tags, geometry)
+    dims = cell_tags.dim, facet_tags.dim
+    names = {d: {tag: name for dim, tag, name in groups if dim == d and name} for d in dims}
+    cells = NamedTags(cell_tags, names[cell_tags.dim])
+    facets = NamedTags(facet_tags, names[facet_tags.dim], cells, geometry)
+    tags = {name or str(tag): tag for dim, tag, name in groups if dim in dims}
+    return TaggedMesh(mesh, cells, facets, tags, geometry)
 
 
 def _meshed(
     comm: MPI.Comm, gmsh: Any, path: Any, size: Any, unit: str, parameters: dict[str, float]
-) -> tuple[dict[str, int], dict[int, str], dict[int, str], dict[int, int], Any]:
+) -> tuple[list[tuple[int, int, str]], GmshGeometry | None]:
     """Open and mesh the user's file or model in Gmsh; see `read_gmsh`. Not collective.
 
     Returns:
-        name -> tag; tag -> name of facets, and of cells; tag -> number of facets; the geometry.
+        see `_physical_groups`; and the geometry, if it is known.
     """
     is_file = isinstance(path, str | PathLike)
     if not is_file and not hasattr(path, "getPhysicalGroups"):
@@ -211,41 +214,22 @@ def _meshed(
     if suffix in (".geo", ".msh") and size is not None:  # the latter takes none, which is said
         parameters["size"] = size
     if is_file:
-        open_file(gmsh, source, parameters, unit=unit)
+        open_file(gmsh, source, {}, unit=unit)
+    if parameters:
+        check_parameters(gmsh, source, parameters)
+        open_file(gmsh, source, parameters)
     if suffix in CAD_SUFFIXES:
         low, high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
         box = " x ".join(f"{length:.4g}" for length in high - low)
         log(comm, "%s: the box of all bodies is %s %s", source.name, box, unit)
     _mesh(gmsh, source, size)
-    tags, names, cell_names = _physical_groups(gmsh, source)
-    in_file = _checked_facets(gmsh, source, names)
-    geometry: GmshGeometry | None = None
+    groups = _physical_groups(gmsh.model, source)
+    _check_facets(gmsh.model, source)
+    _number_nodes(gmsh.model)
     if suffix in (".geo", *CAD_SUFFIXES):
-        geometry = GmshGeometry.from_open_file(gmsh, source, parameters, unit)
-    elif not is_file:
-        geometry = GmshGeometry.from_shapes(gmsh)
-    return tags, names, cell_names, in_file, geometry
-
-
-def _of_mesh_data(data: Any) -> TaggedMesh:
-    """Return the result of `dolfinx.io.gmsh.model_to_mesh` with the names of its tags.
-
-    Raises:
-        InputError: the data have no tags of cells or of facets.
-    """
-    mesh, cell_tags, facet_tags = data[:3]
-    if not isinstance(cell_tags, MeshTags) or not isinstance(facet_tags, MeshTags):
-        raise InputError(
-            "the result of model_to_mesh must have tags of cells and of facets: put the bodies and "
-            "their surfaces into physical groups."
-        )
-    tags: dict[str, int] = {}
-    names: dict[int, dict[int, str]] = {cell_tags.dim: {}, facet_tags.dim: {}}
-    for name, (dim, tag) in getattr(data, "physical_groups", {}).items():
-        if dim in names:
-            names[dim][tag], tags[name] = name, tag
-    cells = NamedTags(cell_tags, names[cell_tags.dim])
-    return TaggedMesh(mesh, cells, NamedTags(facet_tags, names[facet_tags.dim], cells), tags)
+        curved = curved_groups(gmsh.model)
+        return groups, GmshGeometry(source.resolve(), parameters, curved, unit)
+    return groups, None if is_file else GmshGeometry.from_shapes(gmsh)
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:
@@ -260,123 +244,116 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
     dim = model.getDimension()
     if (is_cad or suffix == ".model") and not model.getPhysicalGroups():
         name_groups(model, str(path))
-    sizes = {"FromCurvature": CELLS_PER_TURN, "FromPoints": 0, "ExtendFromBoundary": 0}
-    set_here = is_cad or (suffix == ".model" and size is not None)
-    try:
-        if suffix == ".geo" or not len(model.mesh.getElementTypes(dim)):
-            if set_here:
-                set_sizes(model, size, str(path))
-            with options(gmsh, {f"Mesh.MeshSize{k}": sizes[k] for k in sizes if set_here}):
+    sizes: dict[str, float] = {}
+    if suffix == ".geo" or not len(model.mesh.getElementTypes(dim)):
+        if is_cad or (suffix == ".model" and size is not None):
+            set_sizes(model, size, str(path))
+            sizes = {"FromCurvature": CELLS_PER_TURN, "FromPoints": 0, "ExtendFromBoundary": 0}
+        try:
+            with options(gmsh, {f"Mesh.MeshSize{name}": value for name, value in sizes.items()}):
                 model.mesh.generate(dim)
-        kinds = model.mesh.getElementTypes(dim)
-    except (InputError, MeshError):
-        raise
-    except Exception as error:  # gmsh raises nothing more specific
-        hint = ""
-        if is_cad:
+        except Exception as error:  # gmsh raises nothing more specific
             hint = (
                 ". Faces of a body that overlap or cross each other, and gaps between faces, "
                 "cannot be meshed: repair them in the CAD program."
             )
-        raise MeshError(f"Gmsh cannot use '{path}': {error}{hint}") from error
+            raise MeshError(f"Gmsh cannot use '{path}': {error}{hint * is_cad}") from error
+    kinds = model.mesh.getElementTypes(dim)
     if len(kinds) > 1:
         names = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
 
 
-def _physical_groups(
-    gmsh: Any, path: Path
-) -> tuple[dict[str, int], dict[int, str], dict[int, str]]:
-    """Return name -> tag of all groups, and tag -> name of named groups of facets and of cells.
+def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
+    """Return dimension, tag and name of each group of cells or facets; no name is "".
 
     Raises:
         MeshError: the model has no group of cells or of facets, or two groups have the same name.
     """
-    dim = gmsh.model.getDimension()
-    groups = [group for group in gmsh.model.getPhysicalGroups() if group[0] >= dim - 1]
+    dim = model.getDimension()
     for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):
-        if dim < 2 or not any(group[0] == group_dim for group in groups):
+        if dim < 2 or not model.getPhysicalGroups(group_dim):
             raise MeshError(
                 f"'{path}' has no physical group of {entities}: name all bodies and surfaces with "
                 'Physical Volume("...") and Physical Surface("...") (in 2D Surface and Curve).'
             )
+    groups = model.getPhysicalGroups(dim - 1) + model.getPhysicalGroups(dim)
+    result = [(*group, model.getPhysicalName(*group)) for group in groups]
     tags: dict[str, int] = {}
-    names: dict[int, dict[int, str]] = {dim - 1: {}, dim: {}}
-    for group_dim, tag in groups:
-        given = gmsh.model.getPhysicalName(group_dim, tag)
-        if given:
-            names[group_dim][tag] = given
+    for _, tag, given in result:
         name = given or str(tag)
         if tags.setdefault(name, tag) != tag:
             raise MeshError(
                 f"'{path}' uses the name {name} for two groups: {tags[name]} and {tag}."
             )
-    return tags, names[dim - 1], names[dim]
+    return result
 
 
-def _elements(gmsh: Any, dim: int) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
-    """Yield the tag of each group, and the nodes (n, k) of elements of one type in it."""
-    for _, group in gmsh.model.getPhysicalGroups(dim):
-        for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, group):
-            for numbers, nodes in zip(*gmsh.model.mesh.getElements(dim, entity)[1:], strict=True):
-                yield group, nodes.reshape(len(numbers), -1)
+def _grouped_entities(model: Any, dim: int) -> list[tuple[int, int]]:
+    """Return the tag of a group and the number of an entity, for all entities in groups."""
+    return [
+        (tag, int(entity))
+        for _, tag in model.getPhysicalGroups(dim)
+        for entity in model.getEntitiesForPhysicalGroup(dim, tag)
+    ]
 
 
-def _checked_facets(gmsh: Any, path: Path, names: Mapping[int, str]) -> dict[int, int]:
-    """Check facets, number the nodes of cells first, and return tag -> number of its facets.
+def _check_facets(model: Any, path: Path) -> None:
+    """Check that facets with tags are faces of cells with tags, and have one tag each.
 
-    DOLFINx requires numbers without gaps, and aborts all ranks if the number of a node of a tagged
-    facet exceeds the number of nodes of cells. Tagged facets of a body that is in no physical group
-    have such nodes.
+    DOLFINx aborts all ranks if a facet has nodes of no cell, such as a facet of a body that is in
+    no physical group, and leaves out other facets that are not faces of a cell.
 
     Raises:
-        MeshError: facets have nodes that no cell in a group has, or are in two groups, for example
-            because two bodies share their nodes.
+        MeshError: facets are not faces of cells, or are in two groups, for example because two
+            bodies share their nodes.
     """
-    mesh, dim = gmsh.model.mesh, gmsh.model.getDimension()
-    facets = list(_elements(gmsh, dim - 1))
-    cell_nodes = np.unique(np.concatenate([nodes.ravel() for _, nodes in _elements(gmsh, dim)]))
-    counts: dict[int, int] = {}
-    wrong: dict[int, int] = {}
-    for tag, nodes in facets:
-        counts[tag] = counts.get(tag, 0) + len(nodes)
-        wrong[tag] = wrong.get(tag, 0) + int((~np.isin(nodes, cell_nodes)).any(axis=1).sum())
-    for tag, count in counts.items():
-        _check_facets_of_cells(path, names, tag, wrong[tag], count)
-    for columns in {nodes.shape[1] for _, nodes in facets}:
-        alike = [(tag, nodes) for tag, nodes in facets if nodes.shape[1] == columns]
-        rows = [np.insert(np.sort(nodes, axis=1), 0, tag, axis=1) for tag, nodes in alike]
-        table = np.unique(np.vstack(rows), axis=0)
-        table = table[np.lexsort(table[:, ::-1].T[:-1])]  # sorted by nodes, then by tag
-        twice = np.flatnonzero((table[1:, 1:] == table[:-1, 1:]).all(axis=1))
-        if len(twice):
-            groups = [names.get(int(tag), str(tag)) for tag in table[twice[0] : twice[0] + 2, 0]]
+    mesh, dim = model.mesh, model.getDimension()
+    (cell,) = mesh.getElementTypes(dim)
+    groups, bodies = (_grouped_entities(model, entity_dim) for entity_dim in (dim - 1, dim))
+    for kind in mesh.getElementTypes(dim - 1):
+        *_, width, _, corners = mesh.getElementProperties(kind)
+        elements = [mesh.getElementsByType(kind, entity)[1] for _, entity in groups]
+        tags = np.repeat([tag for tag, _ in groups], [len(nodes) // width for nodes in elements])
+        facets = np.concatenate(elements).reshape(-1, width)[:, :corners]
+        sides = partial(mesh.getElementFaceNodes, faceType=corners)
+        sides = mesh.getElementEdgeNodes if dim == 2 else sides
+        faces = np.concatenate([sides(cell, tag=body, primary=True) for _, body in bodies])
+        faces = faces.reshape(-1, corners)
+        faces = faces[np.isin(faces, facets).all(axis=1)]
+        sets = np.sort(np.concatenate([faces, facets]), axis=1)
+        number = np.unique(sets, axis=0, return_inverse=True)[1].ravel()
+        face, facet = np.split(number, [len(faces)])
+        wrong = tags[~np.isin(facet, face)]
+        if len(wrong):
             raise MeshError(
-                f"{len(twice)} facets in '{path}' are in two groups, {groups[0]} and {groups[1]}: "
+                f"{(wrong == wrong[0]).sum()} of the {(tags == wrong[0]).sum()} facets of group "
+                f"{model.getPhysicalName(dim - 1, wrong[0]) or wrong[0]} in '{path}' are not faces "
+                "of a cell: the meshes of the surface and of the volume do not fit together, or no "
+                "volume of that body is in a physical group."
+            )
+        table = np.unique(np.column_stack([facet, tags]), axis=0)
+        twice = np.flatnonzero(table[1:, 0] == table[:-1, 0])
+        if len(twice):
+            both = table[twice[0] : twice[0] + 2, 1]
+            names = [model.getPhysicalName(dim - 1, tag) or str(tag) for tag in both]
+            raise MeshError(
+                f"{len(twice)} facets in '{path}' are in two groups, {names[0]} and {names[1]}: "
                 "a facet has one tag. Put each surface into one group. If they lie between two "
                 "bodies that share their nodes there, these are one body. Contact needs two "
                 "surfaces with nodes of their own: mesh the bodies without merging them (in Gmsh "
                 "without fragment, Coherence and removeDuplicateNodes where they touch), and put "
                 "the face of each body into a group of its own."
             )
+
+
+def _number_nodes(model: Any) -> None:
+    """Number the nodes of cells with tags first, without gaps, as DOLFINx requires."""
+    mesh, dim = model.mesh, model.getDimension()
+    (cell,) = mesh.getElementTypes(dim)
+    nodes = [mesh.getElementsByType(cell, entity)[1] for _, entity in _grouped_entities(model, dim)]
+    cell_nodes = np.unique(np.concatenate(nodes))
     before = np.concatenate([cell_nodes, np.setdiff1d(mesh.getNodes()[0], cell_nodes)])
     wanted = np.arange(1, len(before) + 1)
     if not np.array_equal(before, wanted):
         mesh.renumberNodes(before, wanted)
-    return counts
-
-
-def _check_facets_of_cells(
-    path: str | Path, names: Mapping[int, str], tag: int, wrong: int, count: int
-) -> None:
-    """Check that all facets of a group are faces of cells.
-
-    Raises:
-        MeshError: `wrong` of the `count` facets of the group are not faces of a cell.
-    """
-    if wrong > 0:
-        raise MeshError(
-            f"{wrong} of the {count} facets of group {names.get(tag, tag)} in '{path}' are not "
-            "faces of a cell: the meshes of the surface and of the volume do not fit together, or "
-            "no volume of that body is in a physical group."
-        )

@@ -172,13 +172,12 @@ class RigidObstacle:
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the values that must be equal on all ranks, by name. Not collective."""
-        values = [np.ravel(constant.value) for constant in self.constants]
         given = self.given_forces
         held = None if given is None else [given.force(), given.moment(), given.free, given.about]
         return {
             "name": self._name,
             "motion": self.motion.matrix,
-            "constants": values,
+            "constants": [np.ravel(constant.value) for constant in self.constants],
             "given forces": held,
         }
 
@@ -265,14 +264,6 @@ class RigidObstacle:
         )
         self.given_forces = None if names == () else given
 
-    def _moved_distance(self, points: Array) -> tuple[Any, Any]:
-        """Return unchecked distances and normals at points (3, n), for the present place."""
-        motion = self.motion
-        if motion == RigidMotion.none():
-            return self.signed_distance(points)
-        distance, normal = self.signed_distance(motion.reversed_from(points))
-        return distance, motion.rotation @ np.asarray(normal)
-
     def distance(self, points: Array) -> Array:
         """Return signed distances (n,) of points (n, 3) [length], for pictures. Not collective.
 
@@ -280,7 +271,8 @@ class RigidObstacle:
         are not finite are replaced by the largest finite distance.
         """
         with np.errstate(all="ignore"):
-            distance = np.asarray(self._moved_distance(np.ascontiguousarray(points.T))[0], float)
+            distance, _ = self.signed_distance(self.motion.reversed_from(points.T))
+            distance = np.asarray(distance, float)
         is_finite = np.isfinite(distance)
         return np.where(is_finite, distance, distance[is_finite].max(initial=0.0))
 
@@ -296,19 +288,16 @@ class RigidObstacle:
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
-        returned = self._moved_distance(np.ascontiguousarray(points.T))
+        returned = self.signed_distance(self.motion.reversed_from(points.T))
         try:
-            distance, normal = (real_array(array) for array in returned)
+            distance, normal = map(real_array, returned)
+            if distance.shape != (n,) or normal.shape != (3, n):
+                raise ValueError(f"found shapes {distance.shape} and {normal.shape}")
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"the signed distance of {self} must return two arrays, distances of shape (n,) "
-                f"and normals of shape (3, n): {error}."
+                f"the signed distance of {self} must return two arrays, distances of shape ({n},) "
+                f"and normals of shape (3, {n}) for {n} points: {error}."
             ) from error
-        if distance.shape != (n,) or normal.shape != (3, n):
-            raise InputError(
-                f"the signed distance of {self} must return distances of shape ({n},) and normals "
-                f"of shape (3, {n}) for {n} points, found {distance.shape} and {normal.shape}."
-            )
         length = np.linalg.norm(normal, axis=0)
         wrong = ~(np.isfinite(distance) & (np.abs(length - 1.0) < 1e-6))
         if wrong.any():
@@ -318,7 +307,7 @@ class RigidObstacle:
                 f"1; found distance {distance[point]:g} and length {length[point]:g} at "
                 f"{tuple(float(f'{c:.6g}') for c in points[point])}."
             )
-        return distance, normal.T
+        return distance, (self.motion.rotation @ normal).T
 
 
 class RigidPlane(RigidObstacle):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
@@ -11,7 +12,7 @@ import numpy as np
 
 from dolfinx.mesh import MeshTags
 
-from dolfinx_tresca._base.arguments import check_word, checked_number
+from dolfinx_tresca._base.arguments import check_type, check_word, checked_number
 from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -120,33 +121,15 @@ class ContactPair:
         Raises:
             InputError: a tag is not an integer, or an argument has a wrong type.
         """
-        if not isinstance(self.facet_tags, MeshTags):
-            raise InputError(
-                "facet_tags must be dolfinx.mesh.MeshTags of facets, such as "
-                f"read_gmsh(...).facet_tags, found {shown(self.facet_tags)}."
-            )
+        kind = "dolfinx.mesh.MeshTags of facets, such as read_gmsh(...).facet_tags"
+        check_type("facet_tags", self.facet_tags, MeshTags, kind)
         if self.facet_tags.values.dtype != np.int32:
             raise InputError(
                 f"facet_tags must have values of type int32, found {self.facet_tags.values.dtype}."
             )
         self._merge_lists_of_tags()
-        for name in SIDES:
-            tag = getattr(self, name)
-            if name == "primary" and isinstance(tag, RigidObstacle):
-                continue
-            number = integer(tag)
-            if number is None or abs(number) > np.iinfo(np.int32).max:
-                obstacle = " or a RigidObstacle" if name == "primary" else ""
-                raise InputError(
-                    f"{name} must be the integer tag of a surface{obstacle}, found {shown(tag)}. "
-                    'Names of a Gmsh file have their tags in read_gmsh(...).tags["name"].'
-                )
-            object.__setattr__(self, name, number)
-        if not isinstance(self.friction, Friction):
-            raise InputError(
-                "friction must be a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or "
-                f"Bonded(), found {shown(self.friction)}."
-            )
+        laws = "a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or Bonded()"
+        check_type("friction", self.friction, Friction, laws)
         check_word("pairing", self.pairing, get_args(Pairing))
         if self.search_distance is not None:
             distance = checked_number("search_distance", self.search_distance, "(0, inf]")
@@ -172,32 +155,42 @@ class ContactPair:
             InputError: a list is empty or has entries that are not tags; or some tags, but not all,
                 are on both sides.
         """
-        sides: list[Any] = []
-        for side in SIDES:
-            given = getattr(self, side)
-            if not isinstance(given, Sequence) or isinstance(given, str):
-                sides.append(given)
-                continue
-            tags = [integer(tag) for tag in given]
-            numbers = tuple(dict.fromkeys(tag for tag in tags if tag is not None))
-            if not tags or None in tags or max(map(abs, numbers)) > np.iinfo(np.int32).max:
-                raise InputError(
-                    f"a list of tags must have the integer tags of surfaces, found {shown(given)}."
-                )
-            sides.append(numbers)
-        lists = [tags for tags in sides if isinstance(tags, tuple)]
-        secondary, primary = (tags if isinstance(tags, tuple) else (tags,) for tags in sides)
-        common = [tag for tag in secondary if lists and tag in primary]
+        secondary, primary = (self._checked_tags(name) for name in SIDES)
+        common = [tag for tag in secondary if tag in primary]
         if common and set(secondary) != set(primary):
             raise InputError(
                 f"the tags {shown(common)} are on both sides, and others are not: give two lists "
                 "without common tags; or the same list twice, for surfaces that may touch each "
                 "other and themselves."
             )
+        sides = {"secondary": secondary, "primary": secondary if common else primary}
+        for name, tags in sides.items():
+            if tags:
+                object.__setattr__(self, name, tags[0])
+        lists = [tags for tags in sides.values() if len(tags) > 1]
         if lists:
-            object.__setattr__(self, "secondary", secondary[0])
-            object.__setattr__(self, "primary", secondary[0] if common else primary[0])
             object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
+
+    def _checked_tags(self, which: SideName) -> tuple[int, ...]:
+        """Return the tags that the user gave for a side; none for an obstacle.
+
+        Raises:
+            InputError: there is no tag, or a value that is no tag.
+        """
+        given = getattr(self, which)
+        if which == "primary" and isinstance(given, RigidObstacle):
+            return ()
+        is_list = isinstance(given, Sequence) and not isinstance(given, str)
+        tags = [integer(tag) for tag in (given if is_list else [given])]
+        numbers = tuple(dict.fromkeys(tag for tag in tags if tag is not None))
+        if not tags or None in tags or max(map(abs, numbers)) > np.iinfo(np.int32).max:
+            obstacle = ", or a RigidObstacle" if which == "primary" else ""
+            raise InputError(
+                f"{which} must be the integer tag of a surface, or a list of integer tags"
+                f"{obstacle}, found {shown(given)}. Names of a Gmsh file have their tags in "
+                'read_gmsh(...).tags["name"].'
+            )
+        return numbers
 
     @property
     def cell_tags(self) -> NamedTags | None:
@@ -281,17 +274,12 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
         InputError: an entry is not a ContactPair, the sequence is empty, or two pairs have the same
             surfaces or the same name.
     """
-    if not isinstance(pairs, Iterable):
-        raise InputError(
-            f"pairs must be a sequence: write [pair] for a single one; found {shown(pairs)}."
-        )
+    check_type("pairs", pairs, Iterable, "a sequence", " Write [pair] for a single one.")
     result = list(pairs)
-    for pair in result:
-        if not isinstance(pair, ContactPair):
-            raise InputError(f"pairs must hold ContactPair objects, found {shown(pair)}.")
+    for number, pair in enumerate(result):
+        check_type(f"pairs[{number}]", pair, ContactPair, "a ContactPair")
     if not result:
         raise InputError("a contact problem needs at least one ContactPair, found none.")
-    named: set[str] = set()
     seen: set[frozenset[Any]] = set()
     for pair in result:
         secondary, primary = (pair.given_tags(name)[1] or (pair.primary,) for name in SIDES)
@@ -302,7 +290,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
                 f"{pair.side('primary')}: that would constrain their nodes twice. Give one pair."
             )
         seen |= sides
-        if pair.name in named:
-            raise InputError(f"two pairs have the name {pair.name}: give each a name of its own.")
-        named.update(() if pair.name is None else (pair.name,))
+    for name, count in Counter(pair.name for pair in result if pair.name is not None).items():
+        if count > 1:
+            raise InputError(f"two pairs have the name {name}: give each a name of its own.")
     return result

@@ -14,7 +14,7 @@ from dolfinx import fem
 from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuantity
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
 
 #: A scalar on the contact surface; the Constants and Functions in it may be changed in place.
@@ -45,38 +45,38 @@ def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf
         InputError: the value is not a scalar, is complex, or has no value at nodes; or it is a
             number that is NaN or negative by `rounding` or more.
     """
-    if _is_field(value, (), name):
-        return
-    _check_shape(np.asarray(value).shape, (), name)
-    number = real(value)
-    if number is None:
-        raise InputError(
-            f"{name} must be a number, a scalar fem.Constant, fem.Function or UFL "
-            f"expression, or a function of points, found {shown(value)}."
-        )
-    if not number > -rounding:
-        raise InputError(f"{name} must not be {invalid(number)}, found {number:g}.")
+    number = _numbers(value, (), name)
+    if number is not None and not number > -rounding:
+        raise InputError(f"{name} must not be {invalid(float(number))}, found {number:g}.")
 
 
-def _is_field(value: Any, shape: tuple[int, ...], name: str) -> bool:
-    """Return whether a value is a function, or a checked UFL expression, and not plain numbers.
+def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Array | None:
+    """Return plain numbers as an array; None for functions and expressions, which are checked.
 
     Raises:
-        InputError: the expression has another shape, or see `check_expression`.
+        InputError: the value has another shape, is no number, or see `check_expression`.
     """
-    if not isinstance(value, fem.Constant | fem.Expression | Expr):
-        return callable(value) and not isinstance(value, type)
-    expression = value.ufl_expression if isinstance(value, fem.Expression) else value
-    _check_shape(tuple(expression.ufl_shape), shape, name)
-    check_expression(expression, name)
-    return True
-
-
-def _check_shape(shape: tuple[int, ...], wanted: tuple[int, ...], name: str) -> None:
-    """Raise InputError unless a shape is that of a scalar, or of a vector of three components."""
-    if shape != wanted:
-        kind = "a vector of three components" if wanted else "a scalar"
-        raise InputError(f"{name} must be {kind}, found shape {shape}.")
+    if isinstance(value, Expr | fem.Constant | fem.Expression):
+        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
+        numbers, actual = None, expression.ufl_shape
+    elif callable(value) and not isinstance(value, type):
+        return None
+    else:
+        number = real(value)
+        numbers = np.asarray(value if number is None else number)
+        expression, actual = None, numbers.shape
+    if numbers is not None and numbers.dtype.kind not in "iuf":
+        raise InputError(
+            f"{name} must be {'three numbers' if shape else 'a number'}, a fem.Constant, "
+            "fem.Function, fem.Expression or UFL expression of this shape, or a function of "
+            f"points, found {shown(value)}."
+        )
+    if actual != shape:
+        kind = "a vector of three components" if shape else "a scalar"
+        raise InputError(f"{name} must be {kind}, found shape {actual}.")
+    if expression is not None:
+        check_expression(expression, name)
+    return numbers
 
 
 def invalid(number: float) -> str:
@@ -153,14 +153,6 @@ def check_vector_field(value: VectorField, name: str) -> None:
         InputError: the vector does not have three components, is complex, or has no value at
             nodes; or it consists of numbers that are not finite, or are all zero.
     """
-    if _is_field(value, (3,), name):
-        return
-    numbers = np.asarray(value)
-    if numbers.dtype.kind not in "iuf":
-        raise InputError(
-            f"{name} must be three numbers, a fem.Constant, fem.Function or UFL expression "
-            f"with three components, or a function of points, found {shown(value)}."
-        )
-    _check_shape(numbers.shape, (3,), name)
-    if not np.isfinite(numbers).all() or not numbers.any():
+    numbers = _numbers(value, (3,), name)
+    if numbers is not None and not (np.isfinite(numbers).all() and numbers.any()):
         raise InputError(f"{name} must be finite and not zero, found {shown(value)}.")

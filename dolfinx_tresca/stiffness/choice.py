@@ -13,10 +13,10 @@ import numpy as np
 import dolfinx.fem.petsc
 from dolfinx import fem
 
-from dolfinx_tresca._base.arguments import check_word
-from dolfinx_tresca._base.arrays import Mask, integer
+from dolfinx_tresca._base.arguments import check_word, checked_positive_integer
+from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.parallel import log
-from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.errors import InputError, StiffnessError
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
 
 #: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than
@@ -277,11 +277,7 @@ def choose(
         InputError: the method is unknown or unsuitable for a mixed space, or the number of solves
             is not positive.
     """
-    solves = integer(expected_solves)
-    if solves is None or solves < 1:
-        raise InputError(
-            f"expected_solves must be a positive integer, found {shown(expected_solves)}."
-        )
+    solves = checked_positive_integer("expected_solves", expected_solves)
     check_word("stiffness", method, get_args(StiffnessMethod))
     if method == "multigrid" and saddle:
         raise InputError(
@@ -295,11 +291,11 @@ def choose(
     # each further solve adds a half, until factors would take too much memory
     limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (solves + 1), 5.0))
     chosen: ChosenMethod = "cholesky" if saddle or size <= limit else "multigrid"
-    reason = "since multigrid needs a positive definite K"
-    if not saddle:
-        reason = (
-            f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
-            f"(limit for {solves} solve(s) in {dim}D)"
-        )
+    reason = (
+        f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
+        f"(limit for {solves} solve(s) in {dim}D)"
+    )
+    if saddle:
+        reason = "since multigrid needs a positive definite K"
     log(comm, "stiffness: %s, %s", chosen, reason)
     return chosen, reason

@@ -15,26 +15,26 @@ from scipy.sparse import csr_array
 import basix
 import ufl
 from dolfinx import fem
+from dolfinx.cpp.fem import DirichletBC_float64
 from dolfinx.mesh import MeshTags
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.classes import Argument, Grad
 from ufl.corealg.traversal import unique_pre_traversal
 
+from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.compat import (
     EntityMaps,
     collapse,
     contains,
-    is_float64,
-    maps_mesh,
     same_topology,
 )
 from dolfinx_tresca._base.functions import zero_like
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
-from dolfinx_tresca.errors import InputError, StiffnessError, shown
+from dolfinx_tresca.errors import InputError, StiffnessError
 
 
 def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) -> Any:
@@ -50,25 +50,18 @@ def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) ->
 
     Raises:
         InputError: DOLFINx cannot compile the form, the form depends on Functions on a mesh without
-            an entity map, or an integral is over another mesh or over tagged entities of another
-            mesh.
+            an entity map, or an integral is over tagged entities of another mesh.
     """
     if not isinstance(form, ufl.Form):
         return form
     for coefficient in form.coefficients():
-        own_mesh = coefficient.function_space.mesh
-        if own_mesh != mesh and not maps_mesh(entity_maps or [], own_mesh):
+        if coefficient.function_space.mesh != mesh and not entity_maps:
             raise InputError(
                 f"the form {name} holds the Function '{coefficient.name}' on another mesh than the "
                 "problem's. For a field on a contact surface take solution.on_mesh(...), or give "
                 "ContactProblem(..., entity_maps=surface.entity_maps)."
             )
     for integral in form.integrals():
-        if integral.ufl_domain() != mesh.ufl_domain():
-            raise InputError(
-                f"the form {name} has an integral over another mesh than the problem's. Give "
-                'ufl.Measure("ds", domain=mesh, ...) the mesh where parts of a form are on several.'
-            )
         tags = integral.subdomain_data()
         if isinstance(tags, MeshTags) and not same_topology(tags, mesh):
             # DOLFINx would integrate over entities with the same numbers
@@ -79,11 +72,10 @@ def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) ->
     try:
         return fem.form(form, entity_maps=entity_maps)
     except Exception as error:  # UFL, FFCx and DOLFINx raise any error, on all ranks
-        # such as DOLFINx's assertion if some integrals over cells have tags and others have none
-        why = (
-            str(error) or f"{type(error).__name__}; do all integrals of a kind have the same tags?"
-        )
-        raise InputError(f"the form {name} cannot be compiled: {why}") from error
+        raise InputError(
+            f"the form {name} cannot be compiled: {error or type(error).__name__}. Are all "
+            "integrals over the problem's mesh, and do those of a kind have the same tags?"
+        ) from error
 
 
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:
@@ -136,53 +128,39 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     Raises:
         InputError: forms and conditions do not fit together, or do not suit contact.
     """
-    for name, form, kinds, instead in (
-        ("a", a, (fem.Form, PETSc.Mat), "a PETSc.Mat"),
-        ("L", L, (fem.Form, type(None)), "None for no load"),
-    ):
-        if isinstance(form, ufl.Form):
-            continue
-        if not isinstance(form, kinds):
-            raise InputError(
-                f"{name} must be a UFL form, {instead}, or a compiled form together with V=, found "
-                f"{shown(form)}." + (f" {_ONE_SPACE}" if isinstance(form, Sequence) else "")
-            )
-    if not isinstance(bcs, Sequence):
-        raise InputError(f"bcs must be a sequence of Dirichlet conditions, found {shown(bcs)}.")
-    ranks = [_rank(form) for form in (a, L)]
-    if ranks[0] != 2 or ranks[1] not in (1, None):
+    given = "a UFL form, {}, or a compiled form together with V="
+    advice = f" {_ONE_SPACE}" if isinstance(a, Sequence) else ""
+    check_type("a", a, ufl.Form | fem.Form | PETSc.Mat, given.format("a PETSc.Mat"), advice)
+    check_type("L", L, ufl.Form | fem.Form | None, given.format("None for no load"))
+    check_type("bcs", bcs, Sequence, "a sequence of Dirichlet conditions")
+    check_type("V", V, fem.FunctionSpace | None, "the function space of the displacement")
+    arguments = [2 if isinstance(a, PETSc.Mat) else len(_spaces(a)), len(_spaces(L))]
+    if arguments != [2, 0 if L is None else 1]:
         raise InputError(
-            f"a needs a trial and a test function, L a test function; found {ranks[0]} "
-            f"and {ranks[1]} arguments." + (f" {_ONE_SPACE}" if (ranks[0] or 0) > 2 else "")
+            f"a needs a trial and a test function, L a test function; found {arguments[0]} "
+            f"and {arguments[1]} arguments." + (f" {_ONE_SPACE}" if arguments[0] > 2 else "")
         )
-    if V is not None and not isinstance(V, fem.FunctionSpace):
-        raise InputError(f"V must be the function space of the displacement, found {shown(V)}.")
-    ufl_forms = [form for form in (a, L) if isinstance(form, ufl.Form)]
-    spaces = [argument.ufl_function_space() for form in ufl_forms for argument in form.arguments()]
-    if V is None and not spaces:
+    forms = [form for form in (a, L) if isinstance(form, ufl.Form)]
+    if V is None and not forms:
         raise InputError(
             "the space of the displacement is not known: a and L are not forms of UFL, so give V=."
         )
-    V = spaces[-1] if V is None or (spaces and _is_part(V, spaces[-1])) else V
-    inside = [space._cpp_object for space in spaces]
-    for form in (a, L):
-        inside += form.function_spaces if isinstance(form, fem.Form) else []
-    if any(space != V for space in spaces) or not all(map(V._cpp_object.contains, inside)):
+    if forms:
+        space = forms[-1].arguments()[-1].ufl_function_space()
+        V = space if V is None or _is_part(V, space) else V
+    if any(space is not V._cpp_object for form in (a, L) for space in _spaces(form)):
         raise InputError(
-            "the arguments of a and L are from different function spaces"
-            + (", or not from V." if isinstance(a, PETSc.Mat | fem.Form) else ".")
+            "the arguments of a and L are from different function spaces, or not from V."
         )
     if isinstance(a, PETSc.Mat):
         _check_matrix(a, V)
     mesh = V.mesh
-    types = {"the mesh": mesh.geometry.x.dtype}
-    for form in ufl_forms:
-        types |= {str(field): field.dtype for field in (*form.coefficients(), *form.constants())}
-    for name, dtype in types.items():
-        if dtype != np.float64:
+    fields = [field for form in forms for field in (*form.coefficients(), *form.constants())]
+    for name, typed in (("the mesh", mesh.geometry.x), *zip(map(str, fields), fields, strict=True)):
+        if typed.dtype != np.float64:
             raise InputError(
                 f"contact needs a mesh, and forms of numbers, of type float64, found "
-                f"{np.dtype(dtype)} in {name}: leave dtype=... away where it is made."
+                f"{np.dtype(typed.dtype)} in {name}: leave dtype=... away where it is made."
             )
     dim, cell = mesh.geometry.dim, mesh.topology.cell_name()
     if mesh.topology.dim != dim or cell not in CELLS:
@@ -192,22 +170,22 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
             + (" Give gdim=2 where the mesh is read or made." if mesh.topology.dim == 2 else "")
         )
     for number, bc in enumerate(bcs):
-        if not isinstance(bc, fem.DirichletBC):
-            raise InputError(
-                "bcs must hold Dirichlet conditions, as dolfinx.fem.dirichletbc(...) makes them, "
-                f"found {shown(bc)}."
-            )
-        if not is_float64(bc):
-            raise InputError(
-                f"the values of Dirichlet condition {number} must be of type float64, found "
-                f"{type(bc._cpp_object).__name__}."
-            )
+        kind = "a Dirichlet condition, as dolfinx.fem.dirichletbc(...) makes it"
+        check_type(f"bcs[{number}]", bc, fem.DirichletBC, kind)
+        check_type(f"bcs[{number}]", bc._cpp_object, DirichletBC_float64, "of type float64")
         if not contains(V, bc):
             raise InputError(
-                f"Dirichlet condition {number} is on another function space than the forms: make "
-                "it on V, or on V.sub(i)."
+                f"bcs[{number}] is on another function space than the forms: make it on V, or on "
+                "V.sub(i)."
             )
     return V
+
+
+def _spaces(form: Any) -> Sequence[Any]:
+    """Return the function spaces of the arguments of a form, as objects of C++; else none."""
+    if isinstance(form, ufl.Form):
+        return [argument.ufl_function_space()._cpp_object for argument in form.arguments()]
+    return form.function_spaces if isinstance(form, fem.Form) else ()
 
 
 def _is_part(V: Any, space: Any) -> bool:
@@ -281,9 +259,7 @@ class Component:
         self.V, self.dofs = collapse(space.sub(index))
         self._original = fem.Function(self.V)
         own, whole = self.V.dofmap, space.dofmap.index_map
-        flags = fem.Function(space)
-        flags.x.array[self.dofs] = 1.0
-        self.mask: Mask = flags.x.array[: whole.size_local] > 0.0
+        self.mask: Mask = np.isin(np.arange(whole.size_local), self.dofs)
         owned = own.index_map.size_local * own.index_map_bs
         entries = np.ones(owned), whole.local_to_global(self.dofs[:owned]), np.arange(owned + 1)
         rows = csr_array(entries, shape=(owned, whole.size_global))
@@ -313,15 +289,6 @@ class Component:
         """Return the component's block of K, numbered like V; the caller owns it. Collective."""
         columns = self._parts.copy().transpose()
         return K.ptap(columns)
-
-
-def _rank(form: Any) -> int | None:
-    """Return the number of arguments of a form or matrix; None if the form is None."""
-    if isinstance(form, ufl.Form):
-        return len(form.arguments())
-    if isinstance(form, fem.Form):
-        return int(form.rank)
-    return None if form is None else 2
 
 
 def _check_matrix(K: PETSc.Mat, V: Any) -> None:
@@ -393,11 +360,10 @@ def check_hoop_stiffness(K: PETSc.Mat) -> None:
     Raises:
         InputError: K does not resist the translation: the form describes a plane body.
     """
-    motion, force = K.createVecRight(), K.createVecLeft()
-    diagonal = K.getDiagonal()
+    motion, force = K.createVecs()
     motion.array = np.tile([1.0, 0.0], motion.local_size // 2)
     K.mult(motion, force)
-    resistance, largest = (v.norm(PETSc.NormType.INFINITY) for v in (force, diagonal))
+    resistance, largest = (v.norm(PETSc.NormType.INFINITY) for v in (force, K.getDiagonal()))
     if resistance <= ASSEMBLY_ROUNDING * largest:
         raise InputError(
             "the form a is that of a plane body: it does not resist a radial translation. An "
@@ -418,10 +384,9 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
     Raises:
         StiffnessError: K is not symmetric.
     """
-    x, y = K.createVecLeft(), K.createVecLeft()
-    Kx, Ky = x.duplicate(), x.duplicate()
-    start, end = x.getOwnershipRange()
-    rows = np.arange(start, end)
+    x, Kx = K.createVecs()
+    y, Ky = K.createVecs()
+    rows = np.arange(*x.getOwnershipRange())
     x.array = np.cos(12.9898 * rows)
     y.array = np.sin(78.233 * rows)
     K.mult(x, Kx)

@@ -21,7 +21,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
+from scipy.sparse import bsr_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
@@ -94,13 +94,11 @@ class BodyFrames:
             axis[:] = [0.0, 0.0, 1.0]
         if not has_frame.any():
             return None
-        identity = np.broadcast_to(np.eye(3), (number, 3, 3))
-        everywhere = np.ones(owned, dtype=np.bool_)
-        zero = np.zeros((number, 3))
-        frames = cls(V, label, has_frame, axis, everywhere, zero, zero, identity)
+        everywhere, zero = np.ones(owned, dtype=np.bool_), np.zeros((number, 3))
+        unmoved = zero, zero, np.broadcast_to(np.eye(3), (number, 3, 3))
+        frames = cls(V, label, has_frame, axis, everywhere, *unmoved)
         centre, moment = frames._moments(frames._points[:owned])
-        held = replace(frames, guides=whole)
-        held_centre, held_moment = held._moments(frames._points[:owned])
+        held_centre, held_moment = replace(frames, guides=whole)._moments(frames._points[:owned])
         spread, held_spread = np.linalg.eigvalsh([moment, held_moment])[:, :, 1 - dim]
         # nodes determine a rotation if they are spread, in one direction in 2D and in two in 3D;
         # rotations of closer nodes have the rounding of their displacements, divided by 1e-6
@@ -116,9 +114,9 @@ class BodyFrames:
         """(nodes, 3) undeformed positions of this rank's nodes, with ghosts [length]."""
         return np.asarray(self.V.tabulate_dof_coordinates())
 
-    def _vectors(self, u: Array) -> Array:
-        """Return nodal values (nodes * d,) as vectors (nodes, 3)."""
-        return in_space(u.reshape(-1, self.V.mesh.geometry.dim))
+    def _positions(self, u: fem.Function) -> Array:
+        """Return the displaced positions (nodes, 3) of this rank's nodes, with ghosts [length]."""
+        return self._points + in_space(u.x.array.reshape(-1, self.V.mesh.geometry.dim))
 
     def _moments(self, x: Array) -> tuple[Array, Array]:
         """Return the mean (bodies, 3) of positions of guides, and their moments. Collective.
@@ -149,9 +147,9 @@ class BodyFrames:
             u: displacement [length].
         """
         owned = len(self.guides)
-        mean, moments = self._moments((self._points + self._vectors(u.x.array))[:owned])
+        mean, moments = self._moments(self._positions(u)[:owned])
         translation = np.where(self.has_frame[:, None], mean - self.centre, 0.0)
-        rotation = self.rotation * 0.0 + np.eye(3)
+        rotation = np.tile(np.eye(3), (len(mean), 1, 1))
         for body in np.flatnonzero(self.has_frame):
             M, e = moments[body], self.axis[body]
             if e.any():
@@ -167,9 +165,8 @@ class BodyFrames:
         size = np.abs(self._points).max(initial=0.0) + np.abs(translation).max(initial=0.0)
         size = float(reduce_array(self.V.mesh.comm, size, MPI.MAX))
         translation[np.abs(translation).max(axis=1) <= ROUNDING * size] = 0.0
-        if not translation.any() and (rotation == np.eye(3)).all():
-            return None
-        return replace(self, translation=translation, rotation=rotation)
+        moved = translation.any() or (rotation != np.eye(3)).any()
+        return replace(self, translation=translation, rotation=rotation) if moved else None
 
     @cached_property
     def rigid(self) -> fem.Function:
@@ -194,8 +191,11 @@ class BodyFrames:
 
     def _turned(self, product: str, values: Array) -> Array:
         """Return the products of R with nodal values (nodes * d,), as `numpy.einsum` names them."""
-        vectors = self._vectors(values)
-        return self._values(np.einsum(product, self.rotation[self.label[: len(vectors)]], vectors))
+        dim = self.V.mesh.geometry.dim
+        vectors = values.reshape(-1, dim)
+        rotation = self.rotation[self.label[: len(vectors)], :dim, :dim]
+        turned: Array = np.einsum(product, rotation, vectors)
+        return turned.ravel()
 
     def displacement(self, v: fem.Function) -> fem.Function:
         """Return u = u_R + R v [length] of a displacement v in the frames. Not collective."""
@@ -228,7 +228,7 @@ class BodyFrames:
             fraction: how far they go on, relative to their last motion.
         """
         owned, label = len(self.guides), self.label
-        positions = [self._points + self._vectors(u.x.array) for u in (before, after)]
+        positions = [self._positions(u) for u in (before, after)]
         means = [self._moments(x[:owned])[0] for x in positions]
         frames = [self.moved_with(u) or self for u in (before, after)]
         turn = np.einsum("bij,bkj->bik", frames[1].rotation, frames[0].rotation)
@@ -245,14 +245,11 @@ class BodyFrames:
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
         """Return B R, which the caller owns, for a matrix with columns in space. Collective."""
         dim, owned = self.V.mesh.geometry.dim, len(self.guides)
-        start = self.V.dofmap.index_map.local_range[0]
-        blocks = self.rotation[self.label[:owned], :dim, :dim]
-        columns = np.arange(start, start + owned)[:, None, None] * dim + np.arange(dim)
-        columns = np.broadcast_to(columns, blocks.shape)
-        ends = np.arange(0, owned * dim**2 + 1, dim)
+        node = self.V.dofmap.index_map.local_range[0] + np.arange(owned)
+        blocks = self.rotation[self.label[:owned], :dim, :dim], node, np.arange(owned + 1)
         shape = owned * dim, self.V.dofmap.index_map.size_global * dim
-        rows = csr_array((blocks.ravel(), columns.ravel(), ends), shape)
-        return B.matMult(sparse_matrix(rows, B.getSizes()[1], B.comm))
+        R = csr_array(bsr_array(blocks, shape))
+        return B.matMult(sparse_matrix(R, B.getSizes()[1], B.comm))
 
 
 def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:

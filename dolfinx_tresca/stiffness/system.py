@@ -19,6 +19,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs, require_real_petsc
+from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca._base.tolerances import ROUGH
@@ -110,11 +111,9 @@ class LinearSystem(PetscOwner):
             check_meridian(self.V.mesh)
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
-        self.loads, self._forms = L, {"a": a, "L": L}
-        self.entity_maps = entity_maps
-        self._a, self._L = (
-            compiled(name, form, self.V.mesh, entity_maps) for name, form in (("a", a), ("L", L))
-        )
+        self.loads, self.entity_maps = L, entity_maps
+        self._a = compiled("a", a, self.V.mesh, entity_maps)
+        self._L = compiled("L", L, self.V.mesh, entity_maps)
         self._is_matrix = isinstance(self._a, PETSc.Mat)
         self.K = PETSc.Mat() if self._is_matrix else dolfinx.fem.petsc.create_matrix(self._a)
         self._columns: Any = None
@@ -122,17 +121,14 @@ class LinearSystem(PetscOwner):
         self._coefficients: list[npt.NDArray[Any]] = []
         self.f = fem.Function(self.space, name="f")
         dofmap = self.space.dofmap
-        self.prescribed = np.zeros(
-            dofmap.index_map.size_local * dofmap.index_map_bs, dtype=np.bool_
-        )
+        owned = dofmap.index_map.size_local * dofmap.index_map_bs
+        self.prescribed = np.zeros(owned, dtype=np.bool_)
         for bc in self.bcs:
-            self.prescribed[owned_dofs(bc, len(self.prescribed))] = True
-        not_displacement = (
-            np.zeros_like(self.prescribed) if self.component is None else ~self.component.mask
-        )
-        self.moves: Mask = ~self.prescribed & ~not_displacement
+            self.prescribed[owned_dofs(bc, owned)] = True
+        displacement = np.ones(owned, np.bool_) if self.component is None else self.component.mask
+        self.moves: Mask = ~self.prescribed & displacement
         #: signs of rows in energies: negative for unknowns that are not displacements
-        self.signs: Array = np.where(not_displacement, -1.0, 1.0)
+        self.signs: Array = np.where(displacement, 1.0, -1.0)
 
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
@@ -153,8 +149,8 @@ class LinearSystem(PetscOwner):
         Raises:
             InputError: a or L is not a UFL form.
         """
-        a, L = self._forms["a"], self._forms["L"]
-        if not isinstance(a, ufl.Form) or not (L is None or isinstance(L, ufl.Form)):
+        a, L = self.form, self.loads
+        if a is None or not isinstance(L, ufl.Form | None):
             raise InputError(
                 "a derivative needs a and L as forms of UFL, and one of them is compiled or a "
                 "matrix. Give the forms."
@@ -163,7 +159,7 @@ class LinearSystem(PetscOwner):
 
     def values_to_agree(self) -> dict[str, Any]:
         """Return the forms and conditions, which the ranks compare. Not collective."""
-        return {**self._forms, "bcs": self.bcs}
+        return {"a": self.form, "L": self.loads, "bcs": self.bcs}
 
     def check_displacement(self, name: str, u: Any, choices: str = "") -> None:
         """Check that u is a displacement of this system. Collective.
@@ -286,11 +282,8 @@ class LinearSystem(PetscOwner):
     @property
     def outdated(self) -> bool:
         """Whether coefficients of the form have changed since K was assembled. Collective."""
-        changed = not all(
-            np.array_equal(value, assembled)
-            for value, assembled in zip(coefficients(self.form), self._coefficients, strict=True)
-        )
-        return bool(self.comm.allreduce(changed, op=MPI.LOR))
+        same = map(np.array_equal, coefficients(self.form), self._coefficients)
+        return bool(self.comm.allreduce(not all(same), op=MPI.LOR))
 
     @property
     def driven_by_forces(self) -> bool:
@@ -316,12 +309,8 @@ class LinearSystem(PetscOwner):
         """(owned degrees of freedom of V,) whether each is prescribed. Collective."""
         if self.component is None:
             return self.prescribed
-        flags = fem.Function(self.space)
-        flags.x.array[: len(self.prescribed)] = self.prescribed
-        flags.x.scatter_forward()
-        dofmap = self.V.dofmap
-        owned = dofmap.index_map.size_local * dofmap.index_map_bs
-        return np.asarray(self.component.extract(flags).x.array[:owned] > 0.0)
+        flags = with_owned_values(self.space, self.prescribed)
+        return np.asarray(owned_values(self.component.extract(flags)).ravel() > 0.0)
 
     @property
     def saddle_size(self) -> int:
@@ -450,7 +439,6 @@ class LinearSystem(PetscOwner):
                     "of a mixed space only displacements may be prescribed to be other than zero, "
                     f"found {values[values.nonzero()[0][0]]:.3g} for another unknown."
                 )
-        with errors_on_all_ranks(self.comm):
             if not np.isfinite(self.f.x.array).all():
                 raise InputError(
                     "the load vector has entries that are NaN or infinite: look at the "

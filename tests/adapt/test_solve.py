@@ -237,7 +237,7 @@ def test_a_goal_of_another_problem(comm, monkeypatch):
     for goal, message in (
         (NormalForce, "goal must be a NormalForce, ContactForce"),
         (NormalForce(pair=1), "goal belongs to pair 1, but the problem has 1"),
-        (MeanPressure(point=(0.0, 0.0, 0.0), radius=1.0), "point of the goal must have 2 numbers"),
+        (MeanPressure(point=(0.0, 0.0, 0.0), radius=1.0), "point of the goal must be 2"),
     ):
         with pytest.raises(InputError, match=message):
             solve_adaptively(cantilever, sheet(comm, 2), 0.5, goal=goal)

@@ -153,7 +153,7 @@ def test_what_is_refused(comm):
         for goal, words in (
             ("force", "NormalForce"),
             (NormalForce(pair=1), "pair 1"),
-            (ContactForce((1.0, 0.0)), "direction of the goal must have 3"),
+            (ContactForce((1.0, 0.0)), "direction of the goal must be 3"),
             (MeanPressure((0.0, 0.0, 9.0), 0.1), "no contact node"),
         ):
             with pytest.raises(InputError, match=words):

@@ -108,7 +108,7 @@ FAULTS = {
     "None": (lambda x: None, "must return two arrays"),
     "three things": (lambda x: (x[0], x, x), "must return two arrays"),
     "text": (lambda x: ("a", "b"), "must return two arrays"),
-    "a single distance": (lambda x: (1.0, x), r"found \(\) and"),
+    "a single distance": (lambda x: (1.0, x), r"found shapes \(\) and"),
     "distances in a row": (lambda x: (x[:1], UP + 0 * x), r"distances of shape"),
     "normals with points in rows": (lambda x: (x[2], (UP + 0 * x).T), r"normals of shape \(3, "),
     "two components": (lambda x: (x[2], (UP + 0 * x)[:2]), r"normals of shape \(3, "),
@@ -227,6 +227,6 @@ def test_round_bodies_of_degree_2_fit_into_a_hollow_as_round(comm, body):
 
 def test_repr_of_primary_tag_and_obstacle(comm):
     scene = patch(comm, "triangle")
-    with pytest.raises(InputError, match="a surface or a RigidObstacle, found 'floor'"):
+    with pytest.raises(InputError, match="or a RigidObstacle, found 'floor'"):
         ContactPair(scene.facet_tags, UPPER, "floor", Frictionless())
     assert str(floor(scene)).startswith("tag 1 on a rigid plane through")

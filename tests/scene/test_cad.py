@@ -184,7 +184,7 @@ WRONG = {
     "a size": (apart, {"size": -1.0}, InputError, "must be a positive number, found -1.0"),
     "a body": (apart, {"size": {"pin": 1.0}}, InputError, "no body 'pin'; its bodies are body 1"),
     "a unit": (apart, {"unit": "mile"}, InputError, "unit must be one of mm, "),
-    "a parameter": (apart, {"N": 3}, InputError, "is a CAD file and takes no parameters"),
+    "a parameter": (apart, {"N": 3}, InputError, "takes no parameters"),
 }
 
 

@@ -135,7 +135,13 @@ FAULTS = {
         InputError,
         "sets size = 0.4 itself",
     ),
-    "parameter of a finished mesh": ("box.msh", "", {"size": 0.3}, InputError, "no parameters"),
+    "parameter of a finished mesh": (
+        "box.msh",
+        TRIANGLES,
+        {"size": 0.3},
+        InputError,
+        "no parameters",
+    ),
     "no facets": (
         "box.geo",
         BOX + 'Physical Volume("body") = {1};\n',

@@ -170,13 +170,13 @@ def test_nothing_that_can_touch(comm):
 @pytest.mark.parametrize(
     ("secondary", "primary", "message"),
     [
-        ([], [], r"a list of tags must have the integer tags .*found \[\]"),
-        ([1, "a"], [1, "a"], "a list of tags must have the integer tags"),
+        ([], [], r"secondary must be .* a list of integer tags, found \[\]"),
+        ([1, "a"], [1, "a"], "a list of integer tags"),
         ([1, 2], [2, 3], r"the tags \[2\] are on both sides, and others are not"),
         ([1, 2], 2, r"the tags \[2\] are on both sides"),
         (1, [1, 2], r"the tags \[1\] are on both sides"),
-        (1, [2, "a"], "a list of tags must have the integer tags"),
-        (1, [2, 2**40], "a list of tags must have the integer tags"),
+        (1, [2, "a"], "a list of integer tags"),
+        (1, [2, 2**40], "a list of integer tags"),
     ],
 )
 def test_lists_of_tags(secondary, primary, message):
