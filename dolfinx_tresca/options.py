@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
-from dolfinx_tresca._base.arguments import check_word, checked_number, checked_positive_integer
+from dolfinx_tresca._base.arguments import check_word, checked_integer, checked_number
 
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
@@ -86,7 +86,7 @@ class SolverOptions:
             InputError: a value has the wrong type or is out of its range.
         """
         check_word("method", self.method, get_args(Method))
-        iterations = checked_positive_integer("max_iterations", self.max_iterations)
+        iterations = checked_integer("max_iterations", self.max_iterations)
         object.__setattr__(self, "max_iterations", iterations)
         names = ["local_accuracy", "mesh_part", "r_tol", "c_fact", "geometry_accuracy"]
         names += [] if self.accuracy == "balanced" else ["accuracy"]

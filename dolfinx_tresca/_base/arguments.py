@@ -35,15 +35,16 @@ def checked_number(name: str, value: Any, interval: str = "(0, inf)") -> float:
     return number
 
 
-def checked_positive_integer(name: str, value: Any) -> int:
-    """Return a positive integer.
+def checked_integer(name: str, value: Any, least: int = 1) -> int:
+    """Return an integer that is at least `least`.
 
     Raises:
         InputError: the value is no such number.
     """
     number = integer(value)
-    if number is None or number < 1:
-        raise InputError(f"{name} must be a positive integer, found {shown(value)}.")
+    if number is None or number < least:
+        wanted = "a positive integer" if least == 1 else f"an integer from {least} on"
+        raise InputError(f"{name} must be {wanted}, found {shown(value)}.")
     return number
 
 

@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
-from dolfinx_tresca._base.arguments import checked_number, checked_positive_integer
+from dolfinx_tresca._base.arguments import checked_integer, checked_number
 from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import (
     agreed_observer,
@@ -374,7 +374,7 @@ def solve_adaptively(
         raise InputError(f"build must be a function of a TaggedMesh, found {shown(build)}.")
     wanted = checked_number("accuracy", accuracy, "(0, 1)")
     most_dofs = checked_number("max_dofs", max_dofs, "(0, inf]")
-    most_levels = checked_positive_integer("max_levels", max_levels)
+    most_levels = checked_integer("max_levels", max_levels)
     checked_number("fraction", fraction, "(0, 1]")
     if isinstance(after, AdaptiveSolution):
         raise InputError(

@@ -1,13 +1,14 @@
 """Contact in one configuration, and the process of load steps around it.
 
-A `ContactSystem` makes one solve: K, the surfaces as they are paired now, and the dual problem on
-them. `ContactSurfaces` pairs the surfaces, and holds the one mutable reference to the state of the
-process, `ContactSurfaces.state`. The state itself is a `StepState`, which is never changed: a
-solve, an accepted step or a new pairing sets another one, and with nonlinear bodies the user's u
-with it. So a step that fails is undone by `ContactSurfaces.return_to`, and a restart is the same
-object in a file (`write_state`, `SavedState`). `FiniteSliding` chooses the configurations in which
-surfaces are paired, until they are paired where the solution is; `solve_with_finite_sliding` and,
-for nonlinear bodies, `problem.newton.Newton` repeat the solves.
+`ContactSurfaces` pairs the surfaces, and holds the one mutable reference to the state of the
+process, `ContactSurfaces.state`. A `ContactSystem` is such surfaces with K and their solves: each
+solve is a dual problem on the surfaces as they are paired now. The state itself is a `StepState`,
+which is never changed: a solve, an accepted step or a new pairing sets another one, and with
+nonlinear bodies the user's u with it. So a step that fails is undone by
+`ContactSurfaces.return_to`, and a restart is the same object in a file (`write_state`,
+`SavedState`). `FiniteSliding` chooses the configurations in which surfaces are paired, until they
+are paired where the solution is; `solve_with_finite_sliding` and, for nonlinear bodies,
+`problem.newton.Newton` repeat the solves.
 
 A solve ends with a status in three steps: the iteration judges its residual, the error bound of
 the fields is compared with the accuracy that the user asked for, and `ContactSystem.checked` looks

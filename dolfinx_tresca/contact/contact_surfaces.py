@@ -11,20 +11,19 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Mask, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, timed
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.obstacles import Obstacles
-from dolfinx_tresca.contact.step_state import StepState
+from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import moved_jump
 from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.errors import InputError, StiffnessError
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 from dolfinx_tresca.output.summary import ProblemSummary
-from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
@@ -46,8 +45,9 @@ class ContactSurfaces(PetscOwner):
         pairs: the surfaces that may touch.
         secondary: the secondary side of each pair.
         slides_far: whether at least one pair has finite sliding.
-        friction: object that evaluates the slip bounds at the nodes of the displacement.
-        nodal_values: object that evaluates users' fields at these nodes.
+        stiffness: object that assembles and factors K.
+        friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
+            nodes of the displacement.
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
         compliance: A = B K^-1 B', with K factored.
         guess: displacements of earlier solves with the present B, for first guesses of iterative
@@ -73,15 +73,13 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         linear, pairs = stiffness.linear, stiffness.pairs
-        self.linear, self.pairs, self._stiffness = linear, pairs, stiffness
-        self.comm = self.linear.comm
+        self.linear, self.pairs, self.stiffness = linear, pairs, stiffness
+        self.comm, self._destroyed = linear.comm, False
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
         # the slip bound of a pair depends on the pressure, unless its coefficient is zero
-        coefficients = [pair.friction.terms.coefficient for pair in pairs]
-        self._depends_on_start = not all(
-            isinstance(c, int | float) and c == 0.0 for c in coefficients
-        )
+        coefficients = [real(pair.friction.terms.coefficient) for pair in pairs]
+        self._depends_on_start = any(coefficient != 0.0 for coefficient in coefficients)
         self.unknowns: fem.Function | None = None
         self.obstacles = Obstacles(linear.V, pairs)
         self.timings: dict[str, float] = {}
@@ -94,17 +92,15 @@ class ContactSurfaces(PetscOwner):
             operators = [operators_of_number[k] for k in range(len(pairs))]
             self.secondary = Surface.of_pairs(fem.Function(V), pairs)
             self.friction = SlipBounds(V)
-            self.nodal_values = self.friction.values
             for pair, on_nodes in zip(pairs, operators, strict=True):
                 self.friction.check(pair.friction, on_nodes.nodes)
         self.jump = JumpOperator(linear, operators)
         with destroyed_on_error(self.jump):
             self.update_gaps()
-        self.summary = ProblemSummary.from_system(linear, pairs, self.jump)
-        self.guess = InitialGuess(np.zeros(len(linear.prescribed)))
-        self.obstacles.note_pairing(self.jump)
-        self._state = StepState.undeformed(self.jump, self.obstacles.motions)
-        with destroyed_on_error(self.jump):
+            self.summary = ProblemSummary.from_system(linear, pairs, self.jump)
+            self.guess = InitialGuess(np.zeros(len(linear.prescribed)))
+            self.obstacles.note_pairing(self.jump)
+            self._state = StepState.undeformed(self.jump, self.obstacles.motions)
             self.compliance = stiffness.compliance(self.jump, self.timings)
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
@@ -134,25 +130,18 @@ class ContactSurfaces(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for owner in (self.nodal_values, self.compliance, self.jump):
+        self._destroyed = True
+        for owner in (self.friction.values, self.compliance, self.jump):
             owner.destroy()
 
-    @property
-    def operators(self) -> tuple[ContactOperators, ...]:
-        """N, T, gaps and areas of each pair, along the tangents of the last solve. Collective.
-
-        Nodes of two pairs with a common multiplier have rows in both, with a part of the area each.
+    def check_not_destroyed(self) -> None:
+        """Check that the PETSc objects exist. Not collective.
 
         Raises:
-            InputError: a gap has values that are NaN or infinite.
+            ContactError: the problem was destroyed.
         """
-        self.update_gaps()
-        component = self.linear.component
-        columns = () if component is None else (component.columns,)
-        return tuple(
-            ContactOperators(self.linear.V, rows.operators, pair, *columns)
-            for rows, pair in zip(self.jump.by_pair, self.pairs, strict=True)
-        )
+        if self._destroyed:
+            raise ContactError("the problem was destroyed: create a new one.")
 
     def slip_bounds(self) -> list[NodalBounds]:
         """Return the present slip bounds at each pair's nodes. Collective.
@@ -176,7 +165,7 @@ class ContactSurfaces(PetscOwner):
         for number, (pair, on_nodes) in enumerate(zip(self.pairs, self.jump.pairs, strict=True)):
             gap, name = pair.gap, f"the gap of contact pair {pair}"
             gaps.append(
-                self.nodal_values.scalars_at(0.0 if gap is None else gap, on_nodes.nodes, name)
+                self.friction.values.scalars_at(0.0 if gap is None else gap, on_nodes.nodes, name)
             )
             if isinstance(pair.friction, Preload):
                 axis = self.obstacles.axis(number, on_nodes)
@@ -231,18 +220,33 @@ class ContactSurfaces(PetscOwner):
             self._state = self._state.along_tangents(jump)
             self._replace_jump(jump)
 
-    def update_geometry(self, u: fem.Function, *, continues: bool) -> None:
+    @property
+    def solved(self) -> StepSolution | None:
+        """The last solution; None if there was none since K or the pairing changed."""
+        solution = self._state.solution
+        valid = solution is not None and solution.dual.compliance is self.compliance
+        return solution if valid else None
+
+    def update_geometry(self, u: fem.Function) -> None:
         """Pair all surfaces in the configuration displaced by u. Collective.
+
+        If u is the displacement of the last solve, the load step stays the same, and the next solve
+        starts from the last tractions.
 
         Args:
             u: displacement [length] in the problem's space.
-            continues: whether u is the displacement of the last solve. The load step then stays
-                the same, and the next solve starts from the last tractions.
 
         Raises:
+            InputError: u is no Function of that space, or has values that are NaN or infinite.
             PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
             StiffnessError: a solve with K failed.
+            ContactError: the problem was destroyed.
         """
+        self.check_not_destroyed()
+        self.linear.check_displacement("the displacement u of the surfaces", u)
+        solved = self.solved
+        same = solved is not None and np.array_equal(solved.fields.u.x.array, u.x.array)
+        continues = self.comm.allreduce(same, op=MPI.LAND)
         self.note_obstacles()
         self._pair_anew(u, np.ones(len(self.pairs), np.bool_), continues=continues)
         self._state = replace(self._state, configuration=u.copy(), geometry=u.copy())
@@ -316,16 +320,14 @@ class ContactSurfaces(PetscOwner):
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
         finite = self._finite_sliding
-        geometry_differs = not self._same(geometry, state.geometry)
-        self._pair_anew(geometry, ~finite & (moved | geometry_differs))
-        configuration_differs = not self._same(configuration, state.configuration)
-        self._pair_anew(configuration, finite & (moved | configuration_differs))
+        for before, u, pairs in (
+            (state.geometry, geometry, ~finite),
+            (state.configuration, configuration, finite),
+        ):
+            differs = not (u is before or np.array_equal(u.x.array, before.x.array))
+            on_some_rank = self.comm.allreduce(differs, op=MPI.LOR)
+            self._pair_anew(u, pairs & (moved | on_some_rank))
         self._state = replace(self._state, configuration=configuration, geometry=geometry)
-
-    def _same(self, u: fem.Function, v: fem.Function) -> bool:
-        """Return whether two displacements have the same values. Collective."""
-        same = u is v or np.array_equal(u.x.array, v.x.array)
-        return bool(self.comm.allreduce(same, op=MPI.LAND))
 
     def note_obstacles(self) -> Mask:
         """Record the present positions of the obstacles. Collective.
@@ -333,10 +335,9 @@ class ContactSurfaces(PetscOwner):
         Returns:
             (pairs,) whether the distance from the obstacle has changed since the pairing.
         """
-        changed = self.obstacles.changed(self.jump)
-        motions_of_solve, present_motions = self._state.motions, self.obstacles.motions
-        self._state = replace(self._state, motions=present_motions)
-        same_place = (motions_of_solve == present_motions).all(axis=(1, 2))
+        changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
+        same_place = (self._state.motions == motions).all(axis=(1, 2))
+        self._state = replace(self._state, motions=motions)
         self.obstacles.warn_of_unknown_motions(changed, same_place)
         return changed
 
@@ -401,16 +402,15 @@ class ContactSurfaces(PetscOwner):
         """
         state, jump = self._state, self.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0
-        for start, end, slides_far, rows in zip(
+        for start, end, slides_far, (normal, tangential) in zip(
             before, after, self._finite_sliding, jump.slices, strict=True
         ):
             if not np.array_equal(start, end):
                 u = state.configuration if slides_far else state.geometry
                 moved = self.obstacles.displacement(start, end, u)
                 largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
-                of_pair = jump.of_displacement(moved)
-                for indices in rows:
-                    jumps[indices] = of_pair[indices]
+                rows = slice(normal.start, tangential.stop)
+                jumps[rows] = jump.of_displacement(moved)[rows]
         return jumps, largest
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
@@ -458,7 +458,7 @@ class ContactSurfaces(PetscOwner):
                 body that has turned in its frame.
         """
         self.compliance.destroy()
-        self.compliance = self._stiffness.compliance(self.jump, self.timings)
+        self.compliance = self.stiffness.compliance(self.jump, self.timings)
         frames = self._frames_at_rest()
         if self.jump.frames is not None and (
             frames is None or (frames.has_frame != self.jump.frames.has_frame).any()

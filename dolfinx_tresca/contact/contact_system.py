@@ -11,8 +11,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem
-
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
@@ -24,7 +22,7 @@ from dolfinx_tresca._base.parallel import (
     timed,
     warn,
 )
-from dolfinx_tresca._base.petsc import PetscOwner, free_unused, keep_inner_communicator
+from dolfinx_tresca._base.petsc import free_unused, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.factorisation import Factorisation
@@ -62,17 +60,13 @@ CHECKED = (ContactStatus.CONVERGED, ContactStatus.NO_FIXED_POINT, ContactStatus.
 Solution = TypeVar("Solution", bound=ContactSolution)
 
 
-class ContactSystem(PetscOwner):
-    """A discretised contact problem: K, the contact surfaces, and the last solve.
+class ContactSystem(ContactSurfaces):
+    """A discretised contact problem: K, the contact surfaces, and their solves.
 
     A linear problem uses one such system for all solves. Newton's method for nonlinear bodies also
     uses one; its K is the present tangent.
 
     Attributes:
-        linear: the system K u = f with its Dirichlet conditions.
-        pairs: the surfaces that may touch.
-        surfaces: these surfaces as they are paired now, with B, A and the load steps.
-        stiffness: object that assembles and factors K.
         bodies: the bodies of the mesh.
     """
 
@@ -88,29 +82,18 @@ class ContactSystem(PetscOwner):
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        linear, pairs = stiffness.linear, stiffness.pairs
-        self.linear, self.pairs, self.stiffness = linear, pairs, stiffness
-        self.comm = self.linear.comm
-        self._destroyed = False
+        linear = stiffness.linear
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
         for space in (linear.space, linear.V):
             keep_inner_communicator(space.dofmap.index_map.comm)
         try:
-            free_unused(self.comm)  # objects of earlier problems that were not destroyed
-            self.surfaces = ContactSurfaces(stiffness)
+            free_unused(linear.comm)  # objects of earlier problems that were not destroyed
+            super().__init__(stiffness)
         except ContactError:
             linear.destroy()
             raise
         self.bodies: Bodies = stiffness.bodies
-        hint_at_scene(linear.V, pairs, self.surfaces.jump.pairs, self.bodies)
-
-    @property
-    def solved(self) -> StepSolution | None:
-        """The last solution; None if there was none since K or the pairing changed."""
-        state = self.surfaces.state
-        solution = state.solution or state.accepted.solution
-        valid = solution is not None and solution.dual.compliance is self.surfaces.compliance
-        return solution if valid else None
+        hint_at_scene(linear.V, self.pairs, self.jump.pairs, self.bodies)
 
     def solution_for(self, purpose: str) -> StepSolution:
         """Return the last solution. Not collective.
@@ -130,36 +113,26 @@ class ContactSystem(PetscOwner):
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
             ("bodies", self.stiffness.bodies_found),
-            *self.surfaces.summary.rows(units),
-            ("solver for K", str(self.surfaces.compliance.operator.solver)),
+            *self.summary.rows(units),
+            ("solver for K", str(self.compliance.operator.solver)),
             ("chosen", self.stiffness.reason),
         ]
 
-    def check_not_destroyed(self) -> None:
-        """Check that the PETSc objects exist. Not collective.
-
-        Raises:
-            ContactError: the problem was destroyed.
-        """
-        if self._destroyed:
-            raise ContactError("the problem was destroyed: create a new one.")
-
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        self._destroyed = True
-        self.surfaces.destroy()
+        super().destroy()
         self.linear.destroy()
         free_unused(self.comm)
 
-    def law_values(self, curves: Sequence[CurveAtNodes] = ()) -> list[Array]:
+    def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
         """Return the present gaps, slip bounds and friction curves at contact nodes. Collective.
 
         Raises:
             InputError: a gap, a slip bound or a coefficient of friction has a value that is not
                 allowed.
         """
-        result = self.surfaces.added_gaps()
-        for bounds in self.surfaces.slip_bounds():
+        result = self.added_gaps()
+        for bounds in self.slip_bounds():
             result += [bounds.constant, bounds.coefficient, bounds.limit]
             if bounds.ellipses is not None:
                 result += [bounds.ellipses.shape, bounds.ellipses.direction]
@@ -202,40 +175,17 @@ class ContactSystem(PetscOwner):
             InputError: a gap, a slip bound or a coefficient of friction has a value that is not
                 allowed.
         """
-        surfaces, solution = self.surfaces, self.surfaces.state.solution
         solved = self.solution_for(purpose)
-        status = ContactStatus.CONVERGED if solution is None else solution.status
-        if status is not ContactStatus.CONVERGED:
+        if self.state.pending and solved.status is not ContactStatus.CONVERGED:
             raise ContactError(
-                f"{purpose} needs a solution, and the last solve ended with {status.name}."
+                f"{purpose} needs a solution, and the last solve ended with {solved.status.name}."
             )
         self.linear.assemble_load()
         present_inputs = [self.linear.f.x.array, *self.law_values(solved.curves)]
         same = all(map(np.array_equal, present_inputs, solved.inputs))
-        same &= not surfaces.obstacles.changed(surfaces.jump).any()
+        same &= not self.obstacles.changed(self.jump).any()
         if not self.comm.allreduce(same, op=MPI.LAND):
-            raise ContactError(
-                "loads, prescribed values, slip bounds or gaps have changed since the solution "
-                f"that {purpose} is for: call solve()."
-            )
-
-    def update_geometry(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u. Collective.
-
-        Args:
-            u: displacement [length] in the problem's space.
-
-        Raises:
-            InputError: u is no Function of that space, or has values that are NaN or infinite.
-            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
-            StiffnessError: a solve with K failed.
-            ContactError: the problem was destroyed.
-        """
-        self.check_not_destroyed()
-        self.linear.check_displacement("the displacement u of the surfaces", u)
-        solved = self.solved
-        same = solved is not None and np.array_equal(solved.fields.u.x.array, u.x.array)
-        self.surfaces.update_geometry(u, continues=self.comm.allreduce(same, op=MPI.LAND))
+            raise inputs_changed(purpose)
 
     @contextmanager
     def restored(self) -> Iterator[None]:
@@ -244,13 +194,13 @@ class ContactSystem(PetscOwner):
         Inside the block, solves may start from other steps and with other inputs. If K or the
         pairing changes inside the block, derivatives of the last solution are not known any more.
         """
-        state = self.surfaces.state
+        state = self.state
         try:
             yield
         finally:
-            self.surfaces.return_to(state)
+            self.return_to(state)
             self.linear.assemble_load()
-            self.surfaces.update_gaps()
+            self.update_gaps()
 
     def checked(self, solution: Solution, *, linear: bool = True) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
@@ -264,22 +214,21 @@ class ContactSystem(PetscOwner):
             solution: the solution at the end of a solve.
             linear: whether bodies are linear, so that rotations and deformations have limits.
         """
-        hint_at_overlap(solution.u, self.pairs, self.surfaces.jump, solution.surfaces)
+        hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
         if status in CHECKED and not solution.sliding:
-            surfaces, u, v = self.surfaces, solution.u, solution.deformation
-            paired, tractions = surfaces.state.geometry, solution.multipliers
-            step = surfaces.state.solution
-            places = surfaces.obstacles.motions if step is None else step.motions
+            state, tractions, v = self.state, solution.multipliers, solution.deformation
+            motions = self.obstacles.motions if state.solution is None else state.solution.motions
+            scene = self.jump, self.pairs, solution.u, state.geometry
             departures = [
                 *(motions_of_bodies(v, self.bodies) if linear else ()),
-                *motions_of_pairs(surfaces.jump, self.pairs, u, paired, tractions, places),
+                *motions_of_pairs(*scene, tractions, motions),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:
                 if status is ContactStatus.CONVERGED:
                     status = ContactStatus.OUTSIDE_THEORY
-                    surfaces.state = surfaces.state.with_status(status)
+                    self.state = state.with_status(status)
                 else:
                     reason = f"The last iterate has left linear theory: {reason}"
                 solution = replace(solution, status=status, sliding=reason)
@@ -312,35 +261,31 @@ class ContactSystem(PetscOwner):
             StiffnessError: a solve with K failed.
         """
         free_unused(self.comm)  # vectors of the solves before
-        surfaces, bodies = self.surfaces, self.bodies
         requested = requested or options
         self.stiffness.check_suits(options)
-        surfaces.compliance.operator.solver.check_ready()
-        timings, surfaces.timings = surfaces.timings, {}
-        accepted = replace(surfaces.state.accepted, solution=None)
-        surfaces.state = replace(surfaces.state, solution=None, accepted=accepted)
+        self.compliance.operator.solver.check_ready()
+        timings, self.timings = self.timings, {}
+        self.state = replace(self.state, solution=None, pending=False)
         with timed("load", timings):
             self.linear.assemble_load()
-            bounds = surfaces.slip_bounds()
-            surfaces.align_tangents(bounds)
-            surfaces.update_gaps()
-            inputs = [self.linear.f.x.array.copy(), *self.law_values()]
-            operator = surfaces.compliance.operator
-            products, krylov = operator.products, operator.solver.krylov_iterations
-            history = surfaces.history_of_solve()
-            state = surfaces.state
+            bounds = self.slip_bounds()
+            self.align_tangents(bounds)
+            self.update_gaps()
+            operator, jump, state = self.compliance.operator, self.jump, self.state
+            products_before, krylov = operator.products, operator.solver.krylov_iterations
+            history = self.history_of_solve()
             moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
             tools = None
-            free_motions = surfaces.obstacles.free_motions(surfaces.jump, state.history.begun)
+            free_motions = self.obstacles.free_motions(jump, state.history.begun)
             if free_motions:
                 if options.method != "projected_newton":
                     raise InputError(
                         "forces on obstacles and bolts need method='projected_newton'."
                     )
-                jump = surfaces.jump
-                tools = Tools.from_rows(free_motions, bodies, jump.by_pair, jump.stress_scale)
+                rows = jump.by_pair, jump.stress_scale
+                tools = Tools.from_rows(free_motions, self.bodies, *rows)
             try:
-                dual = DualProgram(surfaces.compliance, surfaces.guess, bounds, history, tools)
+                dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
             except MechanismError as error:
                 motion = with_owned_values(self.linear.V, error.motion, "motion")
                 lengths = np.linalg.norm(owned_values(motion), axis=1)
@@ -353,38 +298,29 @@ class ContactSystem(PetscOwner):
         with timed("iteration", timings):
             dual_solution = solve(dual, state.multipliers, options, observe)
         with timed("fields", timings):
-            secondary, estimate = surfaces.secondary, options.balanced
-            evaluation, history = evaluate(
-                dual, secondary, bodies, dual_solution, estimate=estimate
-            )
+            sides = self.secondary, self.bodies
+            evaluation, history = evaluate(dual, *sides, dual_solution, estimate=options.balanced)
         status = _status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = self._checked_curves(dual, dual_solution)
-        inputs += [pressed_values(*curve) for curve in curves]
+        inputs = [self.linear.f.x.array.copy(), *self.law_values(curves)]
         sliding = ""
         if dual_solution.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(dual_solution.deficit)
-        motions = surfaces.obstacles.motions
+        motions = self.obstacles.motions
         if tools is not None:
             motions = tools.places(dual.tool_motions(dual_solution.c), motions)
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
+        multipliers, products = dual_solution.multipliers, operator.products - products_before
         solution = StepSolution(
-            status,
-            dual,
-            dual_solution.multipliers,
-            evaluation,
-            history,
-            curves,
-            inputs,
-            moved,
-            motions,
+            status, dual, multipliers, evaluation, history, curves, inputs, moved, motions
         )
-        surfaces.state = replace(state, multipliers=dual_solution.multipliers, solution=solution)
+        self.state = replace(state, multipliers=multipliers, solution=solution, pending=True)
         log(
             self.comm,
             "%s: %s after %d iterations, %d products, residual %.2e",
-            *(options.method, status.value, dual_solution.iterations, operator.products - products),
+            *(options.method, status.value, dual_solution.iterations, products),
             dual_solution.residuals[-1],
         )
         return ContactSolution(
@@ -392,14 +328,14 @@ class ContactSystem(PetscOwner):
             options=requested,
             units=units,
             iterations=dual_solution.iterations,
-            products=operator.products - products,
+            products=products,
             krylov_iterations=operator.solver.krylov_iterations - krylov,
             residuals=dual_solution.residuals,
             q=dual_solution.q,
             timings=largest_over_ranks(self.comm, timings),
             sliding=sliding,
             problem_rows=self.rows(units),
-            bolts=surfaces.bolt_forces(evaluation.pair_resultants),
+            bolts=self.bolt_forces(evaluation.pair_resultants),
             **vars(evaluation),
         )
 
@@ -421,7 +357,7 @@ class ContactSystem(PetscOwner):
             return []
         arguments = cones.curve_arguments(x)
         for curve in arguments:
-            self.surfaces.friction.check_curve(*curve)
+            self.friction.check_curve(*curve)
         hint_at_weakening(self.comm, cones, x, dual.known_products().largest_ritz_value)
         return arguments
 
@@ -442,6 +378,14 @@ class ContactSystem(PetscOwner):
                     "contact or soft springs hold a body, whose slip is not known in the "
                     "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
                 )
+
+
+def inputs_changed(purpose: str) -> ContactError:
+    """Return the error to raise if inputs have changed since a solution for some purpose."""
+    return ContactError(
+        "loads, prescribed values, slip bounds, gaps or coefficients have changed since the "
+        f"solution that {purpose} is for: call solve()."
+    )
 
 
 def _status_of_fields(

@@ -79,11 +79,17 @@ class Configuration:
         w: displacement of the surfaces [length], with ghosts.
         u: displacement of the solution [length], with ghosts.
         loads: (pairs, owned nodes) normal force of the solution at each node; 0 at open nodes.
+        forces: contact forces of the solution [force] at owned unknowns.
+        gaps: (pairs, owned nodes) gaps of the solution [length].
+        distance: |u - w|^2 [length^2].
     """
 
     w: Array
     u: Array
     loads: Array
+    forces: Array
+    gaps: Array
+    distance: float
 
 
 class FiniteSliding:
@@ -112,12 +118,9 @@ class FiniteSliding:
         snaps: whether a step has followed growing residuals, as where bodies snap.
     """
 
-    def __init__(self, surfaces: ContactSurfaces) -> None:
+    def __init__(self, contact: ContactSurfaces) -> None:
         """Begin with the configuration in which the surfaces are paired now. Not collective."""
-        self._surfaces = surfaces
-        self._forces: Array | None = None
-        self._gaps: Array | None = None
-        self._residual = math.inf  # |u - w|^2
+        self._contact = contact
         self._path: list[Configuration] = []
         self._followed: Array | None = None  # u of the last step that followed a snap
         self._grows = 0  # number of last configurations in which |u - w| has grown
@@ -136,46 +139,43 @@ class FiniteSliding:
         Args:
             u: solution of the contact problem in the present configuration [length].
         """
-        forces, jump = self._surfaces.contact_forces(), self._surfaces.jump
-        pressures = np.asarray(self._surfaces.compliance.stress_rounding / jump.stress_scale)
-        rounding = self._surfaces.contact_forces(pressures)
-        former_forces, self._forces = self._forces, forces
-        changed = forces if former_forces is None else forces - former_forces
-        state = self._surfaces.state
+        contact, state = self._contact, self._contact.state
+        pressures = np.asarray(contact.compliance.stress_rounding / contact.jump.stress_scale)
+        rounding = contact.contact_forces(pressures)
+        forces, gaps = contact.contact_forces(), contact.gaps_at_nodes(u)
+        former = self._path[-1] if self._path else None
+        changed = forces if former is None else forces - former.forces
         w = state.configuration.x.array.copy()
-        residual = (u.x.array - w)[: len(self._surfaces.linear.prescribed_displacements)]
+        residual = (u.x.array - w)[: len(contact.linear.prescribed_displacements)]
         square, size, distance, rounding_square = reduce_array(
-            self._surfaces.comm,
+            contact.comm,
             [float(values @ values) for values in (changed, forces, residual, rounding)],
         )
-        residual_before, self._residual = self._residual, distance
-        self._grows = self._grows + 1 if distance > residual_before else 0
-        before, gaps = self.change, self._gaps
-        self._gaps = self._surfaces.gaps_at_nodes(u)
-        if former_forces is None or gaps is None:
-            self.change = math.inf
-        else:
-            opened = np.nan_to_num(self._gaps - gaps)
+        former_distance = math.inf if former is None else former.distance
+        self._grows = self._grows + 1 if distance > former_distance else 0
+        before, self.change = self.change, math.inf
+        if former is not None:
+            opened = np.nan_to_num(gaps - former.gaps)
             before_step = state.accepted.displacement
             step = u.x.array - (0.0 if before_step is None else before_step.x.array)
             sizes = [float(np.abs(values).max(initial=0.0)) for values in (opened, step, u.x.array)]
-            largest, moved, displaced = reduce_array(self._surfaces.comm, sizes, MPI.MAX)
+            largest, moved, displaced = reduce_array(contact.comm, sizes, MPI.MAX)
             moved = max(moved, SMALL_STEP * displaced)
-            resolution = ROUNDING * (self._surfaces.obstacles.extent + displaced)
+            resolution = ROUNDING * (contact.obstacles.extent + displaced)
             self.change = max(
                 _ratio(square, size, rounding_square),
                 _ratio(largest**2, moved**2, resolution**2),
             )
         change, ratio = self.change, 0.5
         if math.isfinite(before) and before > 0.0:
-            least = min(LEAST_FRACTION, _ratio(self._residual, residual_before))
+            least = min(LEAST_FRACTION, _ratio(distance, former_distance))
             change, ratio = max(change, least * before), change / before
         ratio = _inside(ratio)
         self.error = change * ratio / (1.0 - ratio)
-        loads = self._surfaces.normal_forces_at_nodes()
-        self._path.append(Configuration(w, u.x.array.copy(), loads))
+        loads = contact.normal_forces_at_nodes()
+        self._path.append(Configuration(w, u.x.array.copy(), loads, forces, gaps, distance))
         log(
-            self._surfaces.comm,
+            self._contact.comm,
             "finite sliding: configuration %d, change of forces and gaps %.1e",
             self.configurations,
             self.change,
@@ -194,15 +194,15 @@ class FiniteSliding:
             PairingError: the displaced surfaces cannot be paired.
             StiffnessError: a solve with K failed.
         """
-        surfaces, state = self._surfaces, self._surfaces.state
-        linear, origin, at_rest = surfaces.linear, state.configuration, surfaces.frames_at_rest
-        solver = surfaces.compliance.operator.solver
+        contact, state = self._contact, self._contact.state
+        linear, origin, at_rest = contact.linear, state.configuration, contact.frames_at_rest
+        solver = contact.compliance.operator.solver
         if at_rest is None:
             w = linear.response_to_prescribed_values(solver, origin)
             moves = bool(w.x.array.any())
             w.x.array[:] += origin.x.array
         else:
-            frames, linear.frames = surfaces.jump.frames, None
+            frames, linear.frames = contact.jump.frames, None
             values, held = linear.prescribed_values(), origin.copy()
             fraction = self._part_of_last_motion(values)
             accepted, before = state.accepted.displacement, state.accepted.before
@@ -212,14 +212,14 @@ class FiniteSliding:
             held.x.scatter_forward()
             changes = np.abs(held.x.array - origin.x.array)
             moves = bool((changes > ROUNDING * np.abs(origin.x.array).max(initial=0.0)).any())
-            linear.frames = surfaces.frames_at(held)
+            linear.frames = contact.frames_at(held)
             v = origin if frames is None else frames.deformation(origin)
             w = linear.response_to_prescribed_values(solver, v)
             w.x.array[:] += v.x.array
             w = w if linear.frames is None else linear.frames.displacement(w)
             linear.frames = frames
-        if surfaces.comm.allreduce(moves, op=MPI.LOR):
-            surfaces.pair_where_changed(w)
+        if contact.comm.allreduce(moves, op=MPI.LOR):
+            contact.pair_where_changed(w)
 
     def _part_of_last_motion(self, values: Array) -> float:
         """Return the change of the prescribed values in this step, relative to the last one.
@@ -230,7 +230,7 @@ class FiniteSliding:
         Args:
             values: present prescribed values, in the order of owned unknowns.
         """
-        accepted, prescribed = self._surfaces.state.accepted, self._surfaces.linear.prescribed
+        accepted, prescribed = self._contact.state.accepted, self._contact.linear.prescribed
         if accepted.displacement is None or accepted.before is None:
             return 0.0
         reached, before = (
@@ -240,7 +240,7 @@ class FiniteSliding:
         last_step, present_step = reached - before, values - reached
         present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
         products = [float(last_step @ last_step), float(last_step @ present_step)]
-        square, product = reduce_array(self._surfaces.comm, products)
+        square, product = reduce_array(self._contact.comm, products)
         return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
 
     def pair_next_configuration(self) -> None:
@@ -249,9 +249,9 @@ class FiniteSliding:
         Raises:
             PairingError: the displaced surfaces cannot be paired.
         """
-        w = fem.Function(self._surfaces.linear.V)
+        w = fem.Function(self._contact.linear.V)
         w.x.array[:] = self._next()
-        self._surfaces.pair_where_changed(w)
+        self._contact.pair_where_changed(w)
         self.configurations += 1
 
     def _next(self) -> Array:
@@ -291,13 +291,13 @@ class FiniteSliding:
         loads = self._path[-1].loads + configuration.loads
         changed = loads[(self._path[-1].loads > 0.0) != (configuration.loads > 0.0)]
         sums = [float(changed.sum()), float(loads.sum())]
-        of_changed, whole = reduce_array(self._surfaces.comm, sums)
+        of_changed, whole = reduce_array(self._contact.comm, sums)
         return bool(of_changed <= ALIKE * whole)
 
     def _products(self, x: Array, vectors: list[Array]) -> Array:
         """Return the inner products of x with other displacements, all with ghosts. Collective."""
-        owned = len(self._surfaces.linear.prescribed_displacements)
-        return reduce_array(self._surfaces.comm, [float(x[:owned] @ y[:owned]) for y in vectors])
+        owned = len(self._contact.linear.prescribed_displacements)
+        return reduce_array(self._contact.comm, [float(x[:owned] @ y[:owned]) for y in vectors])
 
 
 def solve_with_finite_sliding(
@@ -313,7 +313,7 @@ def solve_with_finite_sliding(
     Raises:
         PairingError: the surfaces of a configuration cannot be paired.
     """
-    sliding = FiniteSliding(contact.surfaces)
+    sliding = FiniteSliding(contact)
     sliding.pair_first_configuration()
     cost: dict[str, Any] = {}
     failure = ""
@@ -339,9 +339,9 @@ def solve_with_finite_sliding(
                 observe(replace(last_iteration, ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
-            state = contact.surfaces.state
-            contact.surfaces.state = state.with_status(ContactStatus.MAX_ITERATIONS)
-            solution = replace(solution, status=ContactStatus.MAX_ITERATIONS)
+            status = ContactStatus.MAX_ITERATIONS
+            contact.state = contact.state.with_status(status)
+            solution = replace(solution, status=status)
             failure = f"In {number} forces or gaps still change by {sliding.change:.0e}. {ADVICE}"
             break
         try:

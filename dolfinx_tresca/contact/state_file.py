@@ -244,9 +244,8 @@ class SavedState:
                     w.sub(i).interpolate(values)
             unknowns = w.x.array.copy()
         state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
-        return state.after_step(
-            history, displacement, configuration=configuration, before=before, solution=None
-        )
+        places: dict[str, Any] = {"configuration": configuration, "before": before}
+        return replace(state.after_step(history, displacement, **places), solution=None)
 
 
 def _functions_of_unknowns(state: StepState) -> list[fem.Function]:

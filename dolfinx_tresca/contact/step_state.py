@@ -38,8 +38,6 @@ class AcceptedStep:
         configuration: displacement [length] at which pairs with finite sliding were paired; None:
             solves begin with the present pairing.
         before: displacement [length] of the step before; None: there is none, or it is not known.
-        solution: the step's solution, for goals and derivatives; None as soon as another solve has
-            begun.
     """
 
     multipliers: Array
@@ -48,7 +46,6 @@ class AcceptedStep:
     motions: Array
     configuration: fem.Function | None
     before: fem.Function | None = None
-    solution: StepSolution | None = None
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,9 @@ class StepState:
         end: `unknowns` at which the last solve ended; None: it has not ended. If the user has
             changed them since, the next solve starts there.
         continues: whether the load step goes on from the last solve in another configuration.
-        solution: the last solution; None: there is nothing to accept.
+        solution: the last solution, for goals and derivatives; None as soon as another solve has
+            begun, or surfaces were paired anew.
+        pending: whether the last solution can be accepted: there is one, and it is no step yet.
     """
 
     jump: JumpOperator
@@ -120,6 +119,7 @@ class StepState:
     end: Array | None = None
     continues: bool = False
     solution: StepSolution | None = None
+    pending: bool = False
 
     @classmethod
     def undeformed(cls, jump: JumpOperator, motions: Array) -> StepState:
@@ -153,9 +153,8 @@ class StepState:
             accepted: further fields of `AcceptedStep` that differ from their present values.
         """
         present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
-        changes = present | {"solution": self.solution or self.accepted.solution} | accepted
-        step = replace(self.accepted, displacement=displacement, **changes)
-        after = replace(self, history=history, accepted=step, solution=None)
+        step = replace(self.accepted, displacement=displacement, **(present | accepted))
+        after = replace(self, history=history, accepted=step, pending=False)
         return after.started_at(self.multipliers)
 
     def after_solution(self, unconverged: bool) -> StepState:
@@ -178,7 +177,7 @@ class StepState:
 
         Arguments and errors are those of `after_solution`.
         """
-        if self.solution is None:
+        if self.solution is None or not self.pending:
             raise ContactError(
                 "there is no solution to accept: call solve() after each change of the loads, and "
                 "then accept()."
@@ -262,4 +261,5 @@ class StepState:
             multipliers=carry.multipliers(self.multipliers),
             accepted=replace(self.accepted, multipliers=accepted),
             solution=None,
+            pending=False,
         )

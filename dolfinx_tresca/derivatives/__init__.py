@@ -12,9 +12,9 @@ same adjoint. A *tape* keeps accepted load steps, and carries gradients back thr
 |---|---|---|
 | u, x | `LinearisedContact.u`, `.multipliers` | the solution |
 | r | `LinearisedContact.gradient` | gradient (d; s) - B u of the dual energy |
-| P, C | `LinearisedContact.face`, `.curvature` | projector on the face; curvature of the circles |
-| df, du_D, do, dg | `DataVector.force`, `.prescribed`, `.offset`, `.radius` | change of the data |
-| z, y | `DataVector.force`, `.offset` | adjoint: derivatives of a goal by load and offsets |
+| P, C | `LinearisedContact.face`, `_states` | projector on the face; curvature of the circles |
+| df, du_D; do, dg | `DataVector.load`; `.laws` | change of the data |
+| z, y | `DataVector.load`, `.laws` | adjoint: derivatives of a goal by load and offsets |
 | q_u, q_x | `on_u`, `on_x` (and `on_jump` by B u) | derivatives of a goal by the solution |
 
 Read first: `linearised.LinearisedContact` (the equations, with tangent and adjoint as one solve),

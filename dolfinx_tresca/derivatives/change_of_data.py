@@ -1,10 +1,10 @@
 """How the data of a solution change with controls, and how outputs change with the data.
 
-The data of a solution are the load f, the prescribed values u_D, the offsets (d; s) (gaps and slip
-origins) and the radii g of the friction discs. A `DataVector` has one entry for each datum. It is a
-change of the data, (df, du_D, do, dg), or the derivatives of an output with respect to the data:
-(z, w, y, t) with the adjoint (z, y), see `linearised`. The output changes by the inner product of
-both.
+The data of a solution are the load f, with the prescribed values u_D in their rows, the offsets
+(d; s) (gaps and slip origins) and the radii g of the friction discs. A `DataVector` has one entry
+for each datum. It is a change of the data, (df, du_D, do, dg), or the derivatives of an output with
+respect to the data: (z, w, y, t) with the adjoint (z, y), see `linearised`. The output changes by
+the inner product of both.
 
 `DataOfSolution` is the one place that knows what depends on controls: forms, Dirichlet conditions,
 gaps, terms and curves of friction laws (`nodal_fields`), and the rows of B, which rigid obstacles
@@ -16,9 +16,9 @@ respect to Functions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from mpi4py import MPI
 
@@ -30,7 +30,6 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
-from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.goals import value_of
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -39,41 +38,35 @@ from dolfinx_tresca.dual.moved import Carry, moved_jump
 from dolfinx_tresca.dual.nodal_values import DIFFERENCE, inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
 
 #: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"
 
 
-@dataclass(frozen=True)
-class NodalField:
+class NodalField(NamedTuple):
     """A user's scalar field, such as a gap, at the nodes of a pair, and its effect on the data.
 
     Attributes:
         field: the scalar as the user gave it.
-        nodes: (n,) local numbers of the nodes.
         name: name of the scalar in errors.
-        discs: the discs of the nodes.
-        radius: (n,) derivatives of the radii of these discs with respect to the nodal values.
-        offset: (size, n) derivatives of the offsets (d; s), divided by
-            `JumpOperator.length_scale`, with respect to the nodal values.
+        nodes: (n,) local numbers of the nodes.
+        effect: (size + n_discs, n) derivatives of the offsets (d; s), divided by
+            `JumpOperator.length_scale`, and of the radii, with respect to the nodal values.
     """
 
     field: Any
-    nodes: LocalNumbers
     name: str
-    discs: slice
-    radius: Array
-    offset: csr_array
+    nodes: LocalNumbers
+    effect: csr_array
 
 
 def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
     """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
-    jump, x, r = contact.dual.jump, contact.multipliers, contact.gradient
-    size = contact.face.discs.size
-    cones = contact.dual.admissible.at_point(x, r)
+    jump, x = contact.dual.jump, contact.multipliers
+    cones = contact.dual.admissible.at_point(x, contact.gradient)
     curves = iter(cones.curve_arguments(x) if isinstance(cones, FrictionCones) else ())
     is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
 
@@ -90,22 +83,24 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
         "limit": np.where(is_limited, by_constant, 0.0),
     }
     result: list[NodalField] = []
-    end = 0
+    discs = np.arange(len(by_constant))
     for pair, operators, (normal, _) in zip(pairs, jump.pairs, jump.slices, strict=True):
-        n, rows = len(operators.nodes), np.arange(normal.start, normal.stop)
-        discs, end = slice(end, end + n), end + n
-        entries = 1.0 / jump.length_scale[normal], (rows, operators.normal_node)
-        by_gap, name = csr_array(entries, shape=(size, n)), f"the gap of contact pair {pair}"
-        of_pair = partial(NodalField, nodes=operators.nodes, discs=discs)
-        result.append(of_pair(pair.gap, name=name, radius=np.zeros(n), offset=by_gap))
-        terms = pair.friction.terms
+        node = np.arange(len(operators.nodes))
+        disc, discs = np.split(discs, [len(node)])
+        rows = np.arange(normal.start, normal.stop)
+        by_gap = 1.0 / jump.length_scale[normal], (rows, operators.normal_node)
+        fields: list[Any] = [(pair.gap, f"the gap of contact pair {pair}", by_gap)]
         for term, words in TERMS.items():
-            scalar, name = getattr(terms, term), f"{words} of {pair}"
-            if term == "coefficient" and terms.curve is not None:
+            scalar = getattr(pair.friction.terms, term)
+            if term == "coefficient" and pair.friction.terms.curve is not None:
                 scalar = partial(pressed_values, *next(curves))
             if not isinstance(scalar, tuple):  # `check_controls` refuses controls in two bounds
-                by_bound = by_term[term][discs]
-                result.append(of_pair(scalar, name=name, radius=by_bound, offset=0.0 * by_gap))
+                by_bound = by_term[term][disc], (len(x) + disc, node)
+                fields.append((scalar, f"{words} of {pair}", by_bound))
+        shape = len(x) + len(by_constant), len(node)
+        for scalar, name, effect in fields:
+            matrix = csr_array(effect, shape=shape)
+            result.append(NodalField(scalar, name, operators.nodes, matrix))
     return result
 
 
@@ -154,14 +149,15 @@ def moved_rows(
             each node, whose components change with the tangents.
 
     Returns:
-        the differences; None if no obstacle depends on the Constant.
+        the differences; None if no obstacle moves along its normals.
 
     Raises:
         InputError: an obstacle moves in the load step of the last solve, or a node faces the
             obstacle at only one of the two displaced positions of the obstacle.
     """
-    surfaces, obstacles, jump = system.surfaces, system.surfaces.obstacles, system.surfaces.jump
-    moves = obstacles.rates(constant, None, jump) > 0.0
+    obstacles, jump = system.obstacles, system.jump
+    rates = obstacles.rates(constant, direction, jump)
+    moves = rates > 0.0
     if not moves.any():
         return None
     origin: Array = np.zeros(len(jump.gap))
@@ -175,12 +171,11 @@ def moved_rows(
                     "obstacle is not known for a load step in which move_to() moves it."
                 )
     # with a step that changes distances by a given length, differences do not depend on the units
-    largest = float(obstacles.rates(constant, direction, jump).max(initial=0.0))
-    step = DIFFERENCE * obstacles.extent / largest if largest > 0.0 else 0.0
+    step = DIFFERENCE * obstacles.extent / float(rates.max())
     sides = []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
-            displaced = moved_jump(jump, system.pairs, surfaces.state.geometry, moves)
+            displaced = moved_jump(jump, system.pairs, system.state.geometry, moves)
         sides.append(displaced.along_axes(contact.bounds))
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
@@ -196,39 +191,24 @@ def moved_rows(
             "no derivative with respect to its place. Compare two solutions."
         )
     jumps = [side.of_displacement(contact.u) for side in sides]
-    return MovedRows(sides, jumps, step or 1.0, origin)
+    return MovedRows(sides, jumps, step, origin)
 
 
-@dataclass
-class DataVector:
+class DataVector(NamedTuple):
     """A change of the data of a solution, or the derivatives of an output by the data.
 
     Attributes:
-        force: (owned degrees of freedom,) change of the load [force]; or the adjoint displacement
-            z, zero where u is prescribed.
-        prescribed: (owned degrees of freedom,) change of the prescribed values [length], zero
-            elsewhere; or derivatives with respect to all values of u, of which those with respect
-            to prescribed values count.
-        offset: (size,) change of (d; s), divided by `JumpOperator.length_scale`; or y.
-        radius: (n_discs,) change of the radii of the discs; or derivatives by them.
+        load: (owned degrees of freedom,) change of the load [force], and of the prescribed values
+            [length] in their rows; or the adjoint displacement z, and derivatives by prescribed
+            values.
+        laws: (size + n_discs,) change of (d; s), divided by `JumpOperator.length_scale`, and of the
+            radii of the discs; or y, and derivatives by the radii.
         moved: central differences of B, in a change of the data for which obstacles move.
     """
 
-    force: Array
-    prescribed: Array
-    offset: Array
-    radius: Array
-    moved: list[MovedRows] = field(default_factory=list)
-
-    def inner(self, change: DataVector, inner: Callable[[Array, Array], Any]) -> float:
-        """Return the change of the output of these derivatives by a change of the data. Collective.
-
-        Args:
-            change: the change of the data.
-            inner: the inner product of arrays over all ranks.
-        """
-        names = ("force", "prescribed", "offset", "radius")
-        return float(sum(inner(getattr(self, name), getattr(change, name)) for name in names))
+    load: Array
+    laws: Array
+    moved: Sequence[MovedRows] = ()
 
 
 class DataOfSolution:
@@ -238,36 +218,44 @@ class DataOfSolution:
     """
 
     def __init__(
-        self, system: ContactSystem, forms: Forms, u: fem.Function, *, in_all_steps: bool = False
+        self, system: ContactSystem, residual: Any, u: fem.Function, *, in_all_steps: bool = False
     ) -> None:
         """Keep what data depend on. Collective.
 
         Args:
             system: the problem.
-            forms: forms and conditions of the bodies at u.
-            u: displacement in the forms, to which `linearise` gives the values of a solution.
+            residual: internal minus external forces at u, a form of rank 1.
+            u: displacement in the form, to which `linearise` gives the values of a solution.
             in_all_steps: see `moved_rows`.
         """
         self.system, self.u, self.comm = system, u, system.comm
-        self._forms, self._in_all_steps = forms, in_all_steps
-        self._values = system.surfaces.nodal_values
+        self._residual, self._in_all_steps = residual, in_all_steps
+        self._values = system.friction.values
         self._z = fem.Function(u.function_space, name="adjoint")
-        self._residual = forms.residual(ufl.TestFunction(u.function_space))
-        self._work = forms.residual(self._z)
-        test, trial = forms.tangent.arguments()
-        transposed = {test: self._z, trial: ufl.TestFunction(u.function_space)}
-        self._reaction = forms.compiled(ufl.replace(forms.tangent, transposed))
+        self._work = ufl.action(residual, self._z)
         self._compiled: dict[Any, Any] = {}
 
-    def check_controls(self, controls: Sequence[Control]) -> None:
+    def check_controls(self, controls: Any) -> None:
         """Check that derivatives with respect to controls are known. Collective.
 
+        Args:
+            controls: the user's argument, which may have any type.
+
         Raises:
-            InputError: a direction or two bounds of orthotropic friction, or the position of an
-                obstacle that reads a Function, depend on a control.
+            InputError: controls are no list of Constants and Functions; or a direction or two
+                bounds of orthotropic friction, or the position of an obstacle that reads a
+                Function, depend on a control.
         """
-        surfaces = self.system.surfaces
+        if not isinstance(controls, Sequence):
+            raise InputError(
+                "controls must be a list of fem.Constant and fem.Function, such as [coefficient], "
+                f"found {shown(controls)}."
+            )
         for control in controls:
+            if not isinstance(control, fem.Constant | fem.Function):
+                raise InputError(
+                    f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
+                )
             for pair in self.system.pairs:
                 terms = pair.friction.terms
                 bounds = [getattr(terms, name) for name in TERMS]
@@ -278,7 +266,26 @@ class DataOfSolution:
                         "not known, since it is part of the direction or the two bounds of "
                         "orthotropic friction. Compare two solutions."
                     )
-            surfaces.obstacles.rates(control, None, surfaces.jump)
+            self.system.obstacles.rates(control, None, self.system.jump)
+
+    def checked_goal(self, goal: Any) -> Goal | ufl.Form:
+        """Check a goal that is to be differentiated, and return it. Not collective.
+
+        In forms, the displacement of the solution replaces the `u` of a nonlinear problem.
+
+        Args:
+            goal: the user's argument, which may have any type.
+
+        Raises:
+            InputError: the argument is neither a goal of this problem nor a form of rank 0.
+        """
+        if not isinstance(goal, ufl.Form):
+            dim = self.u.function_space.mesh.geometry.dim
+            return checked_goal(goal, len(self.system.pairs), dim)
+        if goal.arguments():
+            raise InputError("the goal is a form with arguments: a number is a form of rank 0.")
+        present = self.system.unknowns
+        return goal if present is None else ufl.replace(goal, {present: self.u})
 
     def linearise(self, contact: LinearisedContact) -> None:
         """Take the data of a solution. Collective."""
@@ -297,38 +304,36 @@ class DataOfSolution:
         Raises:
             InputError: the derivative with respect to a control is not known.
         """
-        contact, owned = self.contact, owned_size(self.u)
+        contact, prescribed = self.contact, self.system.linear.prescribed
         jump, x = contact.dual.jump, contact.multipliers
-        discs = len(contact.face.discs.radius)
-        force, prescribed = np.zeros((2, owned))
-        change = DataVector(force, prescribed, np.zeros(len(x)), np.zeros(discs))
+        forces, values = np.zeros((2, len(prescribed)))
+        laws = np.zeros(len(x) + len(contact.face.discs.radius))
+        moved: list[MovedRows] = []
 
-        def radii(side: JumpOperator, _: Array) -> Array:
-            values = side.bounded(contact.bounds).section(x).radius
-            return np.where(np.isfinite(values), values, 0.0)
-
-        def offsets(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
-            return np.asarray(side.gap - jump_of_u + Carry(jump, side).residuals(origin))
+        def of_moved(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
+            """Return the offsets and the radii with the rows of another B."""
+            radius = side.bounded(contact.bounds).section(x).radius
+            slip_origin = Carry(jump, side).residuals(origin)
+            offset = side.gap - jump_of_u + slip_origin
+            return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
 
         for control, direction in zip(controls, directions, strict=True):
-            change.force -= self.derivative(self._residual, control, direction)
-            change.prescribed += self._prescribed_by(control, _flat(direction))
+            forces -= self.derivative(self._residual, control, direction)
+            values += self._prescribed_by(control, flat(direction))
             for scalar in self._fields:
                 rates = self._values.pushed_forward(
                     scalar.field, control, direction, scalar.nodes, scalar.name
                 )
                 if rates is not None:
-                    change.offset += scalar.offset @ rates
-                    change.radius[scalar.discs] += scalar.radius * rates
+                    laws += scalar.effect @ rates
             if not isinstance(control, fem.Constant):
                 continue
             rows = moved_rows(self.system, contact, control, direction, self._in_all_steps)
             if rows is not None:
-                change.moved.append(rows)
-                change.force -= rows.rate(lambda side, _: np.array(side.whole_force(x).array))
-                change.radius += rows.rate(radii)
-                change.offset += rows.rate(partial(offsets, origin=rows.origin))
-        return change
+                moved.append(rows)
+                forces -= rows.rate(lambda side, _: np.array(side.whole_force(x).array))
+                laws += rows.rate(partial(of_moved, origin=rows.origin))
+        return DataVector(np.where(prescribed, values, forces), laws, moved)
 
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
         """Return derivatives of an output by the values of a Function that this rank owns.
@@ -342,19 +347,18 @@ class DataOfSolution:
         Raises:
             InputError: the derivative with respect to the Function is not known.
         """
-        self._z.x.array[: len(derivatives.force)] = derivatives.force
+        prescribed = self.system.linear.prescribed
+        self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
         self._z.x.scatter_forward()
         by_prescribed = dolfinx.la.vector(control.x.index_map, control.x.block_size)
         numbers = np.arange(1, len(control.x.array) + 1, dtype=np.float64)
         source = self._prescribed_by(control, numbers).astype(np.intp)
         depends = source > 0
-        np.add.at(by_prescribed.array, source[depends] - 1, derivatives.prescribed[depends])
+        np.add.at(by_prescribed.array, source[depends] - 1, derivatives.load[depends])
         by_prescribed.scatter_reverse(dolfinx.la.InsertMode.add)
-        result = by_prescribed.array[: owned_size(control)].copy()
-        result -= self.derivative(self._work, control)
+        result = by_prescribed.array[: owned_size(control)] - self.derivative(self._work, control)
         for scalar in self._fields:
-            weights = scalar.offset.T @ derivatives.offset
-            weights += scalar.radius * derivatives.radius[scalar.discs]
+            weights = scalar.effect.T @ derivatives.laws
             by_field = self._values.pulled_back(
                 scalar.field, control, scalar.nodes, weights, scalar.name
             )
@@ -387,16 +391,6 @@ class DataOfSolution:
             )
         )
 
-    def pull_of(self, prescribed: Array) -> Array:
-        """Return K u (owned,) [force] for a displacement u of prescribed nodes. Collective."""
-        u = with_owned_values(self.u.function_space, prescribed)
-        return _owned_entries(self._forms.compiled(ufl.action(self._forms.tangent, u)))
-
-    def reaction_of(self, z: fem.Function) -> Array:
-        """Return K'z (owned,) for a displacement z. Collective."""
-        self._z.x.array[:] = z.x.array
-        return _owned_entries(self._reaction)
-
     def _prescribed_by(self, control: Control, values: Array) -> Array:
         """Return the values that Dirichlet conditions take from a control. Not collective.
 
@@ -412,7 +406,7 @@ class DataOfSolution:
         ends = np.zeros((2, len(self.u.x.array)))
         for prescribed, given in zip(ends, (values, np.zeros_like(values)), strict=True):
             with replaced([control], [given]):
-                for bc in self._forms.bcs:
+                for bc in self.system.linear.bcs:
                     bc.set(prescribed)
         return np.asarray(ends[0] - ends[1])[: owned_size(self.u)]
 
@@ -433,46 +427,49 @@ class DataOfSolution:
         key = id(form), id(control), direction is None
         if key not in self._compiled:
             if isinstance(control, fem.Function):
-                m, space = control, control.function_space
-            else:  # UFL differentiates by Functions: take one with the same value in all cells
-                space = fem.functionspace(self.u.function_space.mesh, ("DG", 0, control.ufl_shape))
-                m = fem.Function(space)
-            along = ufl.TestFunction(space) if direction is None else fem.Function(space)
-            replaced_form = form if m is control else ufl.replace(form, {control: m})
-            compiled = self._forms.compiled(ufl.derivative(replaced_form, m, along))
-            self._compiled[key] = form, compiled, m, along  # keeping `form` keeps its id valid
-        _, compiled, m, along = self._compiled[key]
-        if m is not control:
-            m.x.array[:] = np.tile(np.ravel(control.value), len(m.x.array) // control.value.size)
+                space = control.function_space
+                along = ufl.TestFunction(space) if direction is None else fem.Function(space)
+                change = ufl.derivative(form, control, along)
+            else:
+                mesh = self.u.function_space.mesh
+                along = fem.Constant(mesh, np.zeros(control.ufl_shape))
+                factor = ufl.variable(fem.Constant(mesh, 0.0))
+                moved = ufl.replace(form, {control: control + factor * along})
+                change = ufl.diff(moved, factor)
+            compiled = fem.form(change, entity_maps=self.system.linear.entity_maps)
+            self._compiled[key] = form, compiled, along  # keeping `form` keeps its id valid
+        _, compiled, along = self._compiled[key]
         if direction is not None:
-            values = _flat(direction)
-            along.x.array[:] = np.tile(values, len(along.x.array) // len(values))
+            values_of(along)[:] = flat(direction)
         if compiled.rank == 0:
             return self.comm.allreduce(fem.assemble_scalar(compiled), op=MPI.SUM)
-        return _owned_entries(compiled)
+        vector = fem.assemble_vector(compiled)
+        vector.scatter_reverse(dolfinx.la.InsertMode.add)
+        return np.asarray(vector.array[: vector.index_map.size_local * vector.block_size])
 
 
-def inputs_of_problem(
-    forms: Sequence[Any], pairs: Sequence[ContactPair], bcs: Sequence[Any]
-) -> list[Any]:
+def inputs_of_problem(system: ContactSystem) -> list[Any]:
     """Return all Constants and Functions on which solutions depend, each once.
 
     Values of Dirichlet conditions may be C++ objects of DOLFINx; `values_of` accepts them, too.
+
+    Raises:
+        InputError: `a` or `L` is no form of UFL.
     """
     inputs: list[Any] = []
-    for form in forms:
+    for form in system.linear.ufl_forms:
         if form is not None:
             inputs += [*form.coefficients(), *form.constants()]
-    for pair in pairs:
+    for pair in system.pairs:
         terms = pair.friction.terms
         functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
         bounds = [getattr(terms, name) for name in TERMS]
         inputs += inputs_of((pair.gap, *bounds, *functions))
-    inputs += [bc.g for bc in bcs]
+    inputs += [bc.g for bc in system.linear.bcs]
     return list(dict.fromkeys(inputs))
 
 
-def _flat(direction: Any) -> Array:
+def flat(direction: Any) -> Array:
     """Return a change of a control as a flat array. Not collective."""
     return values_of(direction) if isinstance(direction, fem.Function) else np.ravel(direction)
 
@@ -480,10 +477,3 @@ def _flat(direction: Any) -> Array:
 def owned_size(function: fem.Function) -> int:
     """Return the number of values of a Function that this rank owns. Not collective."""
     return int(function.x.index_map.size_local * function.x.block_size)
-
-
-def _owned_entries(form: fem.Form) -> Array:
-    """Return the entries of a linear form for the degrees of freedom of this rank. Collective."""
-    vector = fem.assemble_vector(form)
-    vector.scatter_reverse(dolfinx.la.InsertMode.add)
-    return np.asarray(vector.array[: vector.index_map.size_local * vector.block_size])

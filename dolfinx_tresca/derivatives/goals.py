@@ -33,7 +33,6 @@ from dolfinx_tresca.scene.goal import (
     MeanSlip,
     NormalForce,
     PressureNorm,
-    checked_goal,
 )
 
 #: Goals of a solution, each with its factor in a sum; a goal may be a form of rank 0.
@@ -47,24 +46,6 @@ WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 #: 5 times the error on twice as many meshes, and below 0.7 times the error on a third fewer meshes;
 #: see "Measured once" in benchmarks/README.md.
 DOUBT = {1: 0.15, 2: 0.25}
-
-
-def checked_form_or_goal(goal: Any, pairs: int, V: Any) -> Goal | ufl.Form:
-    """Check a goal that is to be differentiated, and return it. Not collective.
-
-    Args:
-        goal: the user's argument, which may have any type.
-        pairs: number of pairs of the problem.
-        V: the space of the displacement.
-
-    Raises:
-        InputError: the argument is neither a goal of this problem nor a form of rank 0.
-    """
-    if not isinstance(goal, ufl.Form):
-        return checked_goal(goal, pairs, V.mesh.geometry.dim)
-    if goal.arguments():
-        raise InputError("the goal is a form with arguments: a number is a form of rank 0.")
-    return goal
 
 
 def value_of(goal: Goal, jump: JumpOperator, x: Array, jump_of_u: Array) -> float:

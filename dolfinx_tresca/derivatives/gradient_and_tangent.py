@@ -25,38 +25,14 @@ from dolfinx_tresca.derivatives.change_of_data import (
     Control,
     DataOfSolution,
     DataVector,
+    flat,
     owned_size,
 )
 from dolfinx_tresca.derivatives.goals import WeightedGoals, weights_of
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.nodal_values import values_of
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.goal import Goal
 from dolfinx_tresca.solution.fields import Surface
-
-
-def checked_controls(controls: Any) -> list[Control]:
-    """Check that controls are a list of Constants and Functions, and return the list.
-
-    Not collective.
-
-    Args:
-        controls: the user's argument, which may have any type.
-
-    Raises:
-        InputError: controls are not such a list.
-    """
-    if not isinstance(controls, Sequence):
-        raise InputError(
-            "controls must be a list of fem.Constant and fem.Function, such as [coefficient], "
-            f"found {shown(controls)}."
-        )
-    for control in controls:
-        if not isinstance(control, fem.Constant | fem.Function):
-            raise InputError(
-                f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
-            )
-    return list(controls)
 
 
 def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any]:
@@ -83,8 +59,7 @@ def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any
             fits = result[k].shape == control.ufl_shape
         if not fits:
             raise InputError(f"the direction of {kind}, found {shown(direction)}.")
-        values = values_of(direction) if isinstance(control, fem.Function) else result[k]
-        if not np.isfinite(values).all():
+        if not np.isfinite(flat(result[k])).all():
             raise InputError(f"the direction of {shown(control)} is NaN or infinite.")
     return result
 
@@ -123,14 +98,11 @@ def gradient(
             derivative with respect to a control is not known.
         ConvergenceError: the adjoint has no solution.
     """
-    data.check_controls(controls)
     contact, jump, u = data.contact, data.contact.dual.jump, data.contact.u
     discs, sticks, inner = contact.face.discs, contact.face.stick, contact.dual.inner
-    sticking, moving = np.zeros((2, discs.size), dtype=np.bool_)
-    sticking[discs.tangential] = sticks[discs.node]
-    moving[discs.tangential] = ~sticks[discs.node]
     on_origin = np.zeros(discs.size) if on_origin is None else on_origin
-    by_next_step = np.where(moving, on_origin, 0.0)
+    by_next_step = on_origin.copy()  # of nodes that do not stick
+    by_next_step[discs.tangential[sticks[discs.node]]] = 0.0
     on_jump, on_x, on_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
     for weight, goal in goals:
         if not isinstance(goal, ufl.Form):
@@ -144,10 +116,13 @@ def gradient(
                 "the goal is a form that does not depend on the displacement of its solution: "
                 "write it in terms of solution.u."
             )
-    z, y = contact.adjoint(on_jump, on_x, np.where(jump.system.prescribed, 0.0, on_u))
-    on_u += jump.whole_force(on_jump - y).array - data.reaction_of(z)
+    linear = jump.system
+    z, y = contact.adjoint(on_jump, on_x, np.where(linear.prescribed, 0.0, on_u))
+    on_u += jump.whole_force(on_jump - y).array
+    load = z.x.array[: len(on_u)].copy()
+    load[linear.prescribed] = on_u[linear.prescribed] - linear.reactions_of(z.x.petsc_vec)
     on_radius = contact.face.radial_parts(on_x - jump.of_displacement(z))
-    derivatives = DataVector(z.x.array[: len(on_u)], on_u, y, on_radius)
+    derivatives = DataVector(load, np.append(y, on_radius))
     by_controls = []
     for control in controls:
         if isinstance(control, fem.Function):
@@ -161,13 +136,15 @@ def gradient(
         for k, unit in enumerate(np.eye(len(values))):
             direction = unit.reshape(control.ufl_shape)
             change = data.change([control], [direction])
-            values[k] = derivatives.inner(change, inner)
+            values[k] = inner(derivatives.load, change.load) + inner(derivatives.laws, change.laws)
             for weight, goal in goals:
                 values[k] += weight * data.explicit_rate(goal, [control], [direction], change)
             for rows in change.moved:  # jumps of this step, from which the next step's slip counts
                 values[k] += float(inner(by_next_step, rows.rate(lambda _, jump_of_u: jump_of_u)))
         by_controls.append(values.reshape(control.ufl_shape))
-    return by_controls, np.where(sticking, y + on_origin, np.where(moving, y, 0.0))
+    on_slip = np.zeros(discs.size)
+    on_slip[discs.tangential] = y[discs.tangential]
+    return by_controls, on_slip + on_origin - by_next_step
 
 
 def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
@@ -206,18 +183,18 @@ class SurfaceTangent:
         name: name of the pair.
         mesh: the mesh of the surface.
         pressure: change of the contact pressure [stress].
+        gap: change of the gap [length], zero at pressed nodes.
         traction: change of the tangential traction [stress]; None without friction.
         slip: change of the slip [length], zero where friction holds the surfaces; None without
             friction.
-        gap: change of the gap [length], zero at pressed nodes.
     """
 
     name: str
     mesh: Any
     pressure: fem.Function
-    traction: fem.Function | None
-    slip: fem.Function | None
     gap: fem.Function
+    traction: fem.Function | None = None
+    slip: fem.Function | None = None
 
     def __repr__(self) -> str:
         return f"<SurfaceTangent of {self.name}>"
@@ -266,7 +243,6 @@ def tangent_of(
     surfaces: Sequence[Surface],
     controls: Sequence[Control],
     directions: Sequence[Any],
-    checked_goal: Callable[[Any], Goal | ufl.Form],
 ) -> ContactTangent:
     """Return the change of a solution: two solves with K and some products with A. Collective.
 
@@ -277,61 +253,55 @@ def tangent_of(
         surfaces: secondary surfaces of the pairs.
         controls: Constants and Functions that change.
         directions: changes of the controls, see `checked_directions`.
-        checked_goal: function (goal) -> the checked goal, for goals that users give to
-            `ContactTangent.of`.
 
     Raises:
         InputError: the derivative with respect to a control is not known.
         ConvergenceError: the tangent has no solution.
     """
-    data.check_controls(controls)
     contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
-    x, comm, prescribed = contact.multipliers, data.comm, jump.system.prescribed
+    x, linear = contact.multipliers, jump.system
     change = data.change(controls, directions)
-    force = np.where(prescribed, change.prescribed, change.force - data.pull_of(change.prescribed))
-    du, dx = contact.tangent(force, change.offset, change.radius)
+    offset, radius = np.split(change.laws, [len(x)])
+    pull = linear.forces_of(change.load[linear.prescribed]).array
+    force = change.load - np.where(linear.prescribed, 0.0, pull)
+    du, dx = contact.tangent(force, offset, radius)
     jump_change = jump.of_displacement(du)
     # gap and slip count from the offsets
-    slip = (jump_change - change.offset) * jump.length_scale
+    slip = (jump_change - offset) * jump.length_scale
     stress = dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
-        goal = checked_goal(goal)
+        goal = data.checked_goal(goal)
         explicit = data.explicit_rate(goal, controls, directions, change)
         if isinstance(goal, ufl.Form):
             return explicit + float(data.derivative(goal, contact.u, du))
         on_jump, on_x = weights_of(goal, jump, x)
         return explicit + float(dual.inner(on_jump, jump_change) + dual.inner(on_x, dx))
 
-    result = []
-    for k, (rows, surface) in enumerate(zip(jump.by_pair, surfaces, strict=True)):
-        pair, friction = rows.operators, {}
+    def vectors(side: JumpOperator, stress: Array, slip: Array) -> Array:
+        """Return tractions and slips (2, n, d) at the nodes of all pairs, pair by pair."""
+        columns = [
+            [rows.operators.tangential_vectors(values[rows.tangential]) for rows in side.by_pair]
+            for values in (stress, slip)
+        ]
+        return np.stack([np.concatenate(column) for column in columns])
+
+    def present(side: JumpOperator, _: Array) -> Array:
+        return vectors(side, x * side.stress_scale, -contact.gradient * side.length_scale)
+
+    changes = vectors(jump, stress, slip)
+    for moved in change.moved:
+        changes += moved.rate(present)
+    by_pair, result = jump.by_pair, []
+    ends = np.cumsum([len(rows.operators.nodes) for rows in by_pair])[:-1]
+    of_pairs = np.split(changes, ends, axis=1)
+    for rows, surface, tangential in zip(by_pair, surfaces, of_pairs, strict=True):
+        pair = rows.operators
         pressure, gap = np.zeros((2, len(pair.nodes)))
         pressure[pair.normal_node], gap[pair.normal_node] = stress[rows.normal], -slip[rows.normal]
-        for name, components, values, scale in (
-            ("traction", stress, x, "stress_scale"),
-            ("slip", slip, -contact.gradient, "length_scale"),
-        ):
-
-            def vectors(operator: JumpOperator, _: Any) -> Array:
-                """Return the present vectors (n, d) along the tangents of another B."""
-                of_pair = operator.by_pair[k]  # noqa: B023
-                physical = values * getattr(operator, scale)  # noqa: B023
-                return of_pair.operators.tangential_vectors(physical[of_pair.tangential])
-
-            changes = pair.tangential_vectors(components[rows.tangential])
-            for moved in change.moved:
-                changes = changes + moved.rate(vectors)
-            friction[name] = surface.function(name, pair.nodes, changes)
-        has_friction = comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR)
-        result.append(
-            SurfaceTangent(
-                name=str(surface.pair),
-                mesh=surface.mesh,
-                pressure=surface.function("pressure", pair.nodes, pressure),
-                traction=friction["traction"] if has_friction else None,
-                slip=friction["slip"] if has_friction else None,
-                gap=surface.function("gap", pair.nodes, gap),
-            )
-        )
+        values = {"pressure": pressure, "gap": gap}
+        if data.comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR):
+            values |= dict(zip(("traction", "slip"), tangential, strict=True))
+        fields = {name: surface.function(name, pair.nodes, v) for name, v in values.items()}
+        result.append(SurfaceTangent(str(surface.pair), surface.mesh, **fields))
     return ContactTangent(du, tuple(result), change_of)

@@ -39,7 +39,6 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
-from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
@@ -77,12 +76,6 @@ class LinearisedContact:
     u: fem.Function
     bounds: Sequence[NodalBounds]
 
-    @classmethod
-    def of_last_solve(cls, system: ContactSystem) -> LinearisedContact:
-        """Return the last solution of a problem that has one. Collective."""
-        solved, bounds = system.solution_for("a derivative"), system.surfaces.slip_bounds()
-        return cls(solved.dual, solved.multipliers, solved.fields.u, bounds)
-
     @property
     def accuracy(self) -> float:
         """Relative error of the multipliers of derivatives, in the energy norm. Not collective.
@@ -108,14 +101,9 @@ class LinearisedContact:
         """
         return self._states[0]
 
-    @property
-    def curvature(self) -> Array:
-        """(size,) diagonal of C, the curvature of the circles of slipping nodes."""
-        return self._states[1]
-
     @cached_property
     def _states(self) -> tuple[Face, Array, csr_array]:
-        """The face, the curvature, and I + Q (size, size) with the change Q of slip bounds."""
+        """The face, the diagonal (size,) of C, and I + Q (size, size). Collective."""
         dual, x, r = self.dual, self.multipliers, self.gradient
         cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
         lam = cones.section(x)
@@ -210,7 +198,7 @@ class LinearisedContact:
         Raises:
             ConvergenceError: no solution exists.
         """
-        dual, curvature, constraints = self.dual, self.curvature, self.dual.constraints
+        dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
         accuracy = self.accuracy if accuracy is None else accuracy
         prescribed = dual.jump.system.prescribed
         v = fem.Function(dual.jump.system.V, name="adjoint" if transpose else "displacement")
@@ -293,8 +281,8 @@ class LinearisedContact:
             diagonal: (size,) diagonal D of the model of A.
             transpose: whether the maps are those of the adjoint.
         """
-        project, change = self.face.project, self._states[2]
-        weight = 1.0 / (diagonal + self.curvature)
+        face, curvature, change = self._states
+        project, weight = face.project, 1.0 / (diagonal + curvature)
 
         def test(v: Array) -> Array:
             return project(change.T @ v) if transpose else project(v)
@@ -305,7 +293,7 @@ class LinearisedContact:
 
         def added(v: Array) -> Array:
             along = project(v)
-            curved = np.asarray((self.curvature * along.T).T)
+            curved = np.asarray((curvature * along.T).T)
             left = v - (along if transpose else change @ along)
             return (test(curved) if transpose else curved) + (left.T * diagonal).T
 

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
-from weakref import ref
 
 from mpi4py import MPI
 
@@ -21,10 +20,9 @@ from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
-from dolfinx_tresca.derivatives.goals import WeightedGoals, checked_form_or_goal
+from dolfinx_tresca.derivatives.goals import WeightedGoals
 from dolfinx_tresca.derivatives.gradient_and_tangent import (
     as_derivatives,
-    checked_controls,
     gradient,
 )
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -32,7 +30,6 @@ from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solution.forces import Forms
 from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
@@ -45,15 +42,14 @@ class _Recorded:
 
     Attributes:
         contact: the solution.
-        u: weak reference to the displacement that the solve returned; goals that are forms may
-            depend on it. A call of the reference returns None if the user has dropped it.
+        moved: whether an obstacle has moved in this step.
         values: values of all inputs of the problem in this step.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         laws: `ContactSystem.law_values` of the step.
     """
 
     contact: LinearisedContact
-    u: Callable[[], fem.Function | None]
+    moved: bool
     values: Sequence[Array]
     curves: Sequence[CurveAtNodes]
     laws: Sequence[Array]
@@ -92,7 +88,7 @@ class ProcessTape:
         self,
         contact: ContactSystem,
         solved_for: Callable[[str], StepSolution],
-        forms_at: Callable[[fem.Function], Forms],
+        residual_at: Callable[[fem.Function], ufl.Form],
     ) -> None:
         """Begin without steps. Not collective.
 
@@ -100,34 +96,22 @@ class ProcessTape:
             contact: the problem whose load steps are recorded.
             solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
                 an error that names the purpose.
-            forms_at: function (u) -> forms and conditions of the problem at the displacement u.
+            residual_at: function (u) -> internal minus external forces at the displacement u.
 
         Raises:
             InputError: `a` or `L` is no form of UFL.
         """
-        self._contact, self._solved_for, self._forms_at = contact, solved_for, forms_at
-        self._surfaces = contact.surfaces
-        self._motions = self._surfaces.state.motions
-        self._inputs = inputs_of_problem(
-            contact.linear.ufl_forms, contact.pairs, contact.linear.bcs
-        )
+        self._contact, self._solved_for, self._residual_at = contact, solved_for, residual_at
+        self.comm = contact.comm
+        self._inputs = inputs_of_problem(contact)
         self._steps: list[_Recorded] = []
-        self._history: SlipHistory = self._surfaces.state.history  # after the last recorded step
-        self._compliance: Any = None
-        #: Whether no obstacle has moved, and recording began without slip: only then are
-        #: derivatives with respect to the positions of obstacles known.
-        self._has_places = True
+        self._history: SlipHistory = contact.state.history  # after the last recorded step
 
     def __len__(self) -> int:
         return len(self._steps)
 
     def __repr__(self) -> str:
         return f"<ProcessTape: {len(self)} load step(s) of {self._contact!r}>"
-
-    @property
-    def comm(self) -> Any:
-        """The communicator of the mesh."""
-        return self._contact.comm
 
     @contextmanager
     def adding_step(self) -> Iterator[None]:
@@ -140,32 +124,27 @@ class ProcessTape:
         contact = self._contact
         step = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
-        if self._steps and self._surfaces.state.history is not self._history:
+        if self._steps and contact.state.history is not self._history:
             raise ContactError(
                 "the slip history has changed since the last recorded load step, by "
                 "set_slip_origin(), load_state(), continue_from(), surfaces that were paired anew, "
                 "or another direction or ratio of the bounds of orthotropic friction. Leave the "
                 "block of record(), and begin another one."
             )
-        began_at_zero = bool(self._steps) or not self._surfaces.state.history.origin.any()
-        stayed = np.array_equal(self._surfaces.state.motions, self._motions)
-        self._has_places &= began_at_zero and stayed
-        same = not self._steps or self._compliance is self._surfaces.compliance
-        self._compliance = self._surfaces.compliance if same else None
-        solution = LinearisedContact.of_last_solve(contact)
         # without the sum of slips at all nodes, which takes as much memory as u
-        dual = copy(solution.dual)
+        dual = copy(step.dual)
         dual.history = replace(dual.history, slipped=())
-        solution = replace(solution, dual=dual)
+        bounds = contact.slip_bounds()
+        solution = LinearisedContact(dual, step.multipliers, step.fields.u, bounds)
         yield
-        self._history = self._surfaces.state.history
+        self._history = contact.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
         values = [
             former if former is not None and np.array_equal(former, present) else present.copy()
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
         self._steps.append(
-            _Recorded(solution, ref(step.fields.u), values, step.curves, step.inputs[1:])
+            _Recorded(solution, bool(step.moved.any()), values, step.curves, step.inputs[1:])
         )
 
     @collective(comm_of_self)
@@ -197,7 +176,6 @@ class ProcessTape:
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
-        controls = checked_controls(controls)
         by_step = self._derivatives(goals, controls)
         columns = zip([0.0] * len(controls), *by_step, strict=True)
         return as_derivatives([sum(column) for column in columns], controls, self.comm)
@@ -224,7 +202,6 @@ class ProcessTape:
             InputError: see `gradient`.
             ConvergenceError: see `gradient`.
         """
-        controls = checked_controls(controls)
         steps = self._derivatives(goals, controls)
         return [as_derivatives(derivatives, controls, self.comm) for derivatives in steps]
 
@@ -244,10 +221,11 @@ class ProcessTape:
         """
         contact = self._contact
         contact.check_not_destroyed()
-        goals_of_step = self._checked_goals(goals)
         u = fem.Function(contact.linear.V)
-        data = DataOfSolution(contact, self._forms_at(u), u, in_all_steps=True)
-        if self._steps and self._compliance is not self._surfaces.compliance:
+        data = DataOfSolution(contact, self._residual_at(u), u, in_all_steps=True)
+        goals_of_step = self._checked_goals(goals, data)
+        data.check_controls(controls)
+        if any(step.contact.dual.compliance is not contact.compliance for step in self._steps):
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
@@ -257,14 +235,7 @@ class ProcessTape:
         result: list[list[Any]] = [[0.0] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
         for number in reversed(range(max(goals_of_step, default=-1) + 1)):
-            step = self._steps[number]
-            solved_u, weighted = step.u(), goals_of_step.get(number, [])
-            if solved_u is not None and solved_u is not step.contact.u:
-                moved = {solved_u: step.contact.u}
-                weighted = [
-                    (weight, ufl.replace(goal, moved) if isinstance(goal, ufl.Form) else goal)
-                    for weight, goal in weighted
-                ]
+            step, weighted = self._steps[number], goals_of_step.get(number, [])
             with replaced(self._inputs, step.values):
                 self._check_laws(step, number)
                 data.linearise(step.contact)
@@ -295,28 +266,29 @@ class ProcessTape:
             InputError: an obstacle depends on a control, and either an obstacle moved while steps
                 were recorded, or there was slip when recording began.
         """
-        contact = self._contact
-        if self._surfaces.obstacles.changed(self._surfaces.jump).any():
+        contact, steps = self._contact, self._steps
+        if contact.obstacles.changed(contact.jump).any():
             raise ContactError(
                 "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
                 "before they are moved, or move them back."
             )
-        has_places = contact.comm.allreduce(self._has_places, op=MPI.LAND)
+        slips = bool(steps) and bool(steps[0].contact.dual.history.origin.any())
+        moved = any(step.moved for step in steps)
+        unknown = contact.comm.allreduce(slips or moved, op=MPI.LOR)
         for control in controls:
-            rates = self._surfaces.obstacles.rates(control, None, self._surfaces.jump)
-            if not has_places and rates.any():
+            if unknown and contact.obstacles.rates(control, None, contact.jump).any():
                 raise InputError(
                     f"through a process the derivative with respect to {shown(control)}, on which "
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "
                     "and recording began without slip."
                 )
 
-    def _checked_goals(self, goals: Any) -> dict[int, WeightedGoals]:
+    def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
         """Check goals, and return them as number of a step -> pairs (weight, goal).
 
         Raises:
             InputError: the goals are not a mapping from numbers of steps to goals; or see
-                `checked_form_or_goal`.
+                `DataOfSolution.checked_goal`.
         """
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
@@ -334,9 +306,7 @@ class ProcessTape:
                         "the goals of a step must be one goal, or a list of pairs such as "
                         f"(2.0, NormalForce()), found {shown(pair)}."
                     )
-            V = self._contact.linear.V
             result[int(number)] = [
-                (float(weight), checked_form_or_goal(goal, len(self._contact.pairs), V))
-                for weight, goal in pairs
+                (float(weight), data.checked_goal(goal)) for weight, goal in pairs
             ]
         return result

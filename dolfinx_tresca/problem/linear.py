@@ -213,7 +213,7 @@ class ContactProblem(ContactProcess):
             ContactError: the problem was destroyed.
         """
         self._contact.check_not_destroyed()
-        self._contact.surfaces.update_stiffness()
+        self._contact.update_stiffness()
 
     @collective(comm_of_self, ignored=("observer",), extra_values=problem_to_agree)
     def solve(
@@ -274,11 +274,11 @@ class ContactProblem(ContactProcess):
             geometry_accuracy=geometry_accuracy,
         )
         observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
-        surfaces = self._contact.surfaces
-        surfaces.begin_solve()
-        solve = solve_with_finite_sliding if surfaces.slides_far else ContactSystem.solve
-        solution = self._contact.checked(solve(self._contact, options, self.units, observe))
-        if self._contact.linear.outdated:
+        contact = self._contact
+        contact.begin_solve()
+        solve = solve_with_finite_sliding if contact.slides_far else ContactSystem.solve
+        solution = contact.checked(solve(contact, options, self.units, observe))
+        if contact.linear.outdated:
             warn(
                 self.comm,
                 "coefficients of the form a have changed since K was factored: this solution is "
@@ -403,9 +403,9 @@ class ContactProblem(ContactProcess):
         number = real(gain)
         if number is None or not number > 0.0:
             raise InputError(f"gain must be a positive number, found {shown(gain)}.")
-        state = contact.surfaces.state
+        state = contact.state
         moved = any(w.x.array.any() for w in (state.geometry, state.configuration))
-        if contact.surfaces.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
+        if contact.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
             raise InputError(
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."
@@ -432,7 +432,7 @@ class ContactProblem(ContactProcess):
         self._check_pairing_fixed()
         if self._tape is not None:
             raise ContactError("the problem records its load steps already.")
-        self._tape = tape = ProcessTape(self._contact, self._solved_for, self._forms_at)
+        self._tape = tape = ProcessTape(self._contact, self._solved_for, self._residual_at)
         try:
             yield tape
         finally:
@@ -449,7 +449,6 @@ class ContactProblem(ContactProcess):
             )
         return solved
 
-    def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:
+    def _residual_at(self, u: fem.Function) -> ufl.Form:
         a, L = self._contact.linear.ufl_forms
-        residual = ufl.action(a, u)
-        return residual if L is None else residual - L, a
+        return ufl.action(a, u) if L is None else ufl.action(a, u) - L

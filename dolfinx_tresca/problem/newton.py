@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,12 +12,12 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import integer, real
-from dolfinx_tresca._base.parallel import agreed_observer, log, reduce_array
+from dolfinx_tresca._base.arguments import checked_integer, checked_number
+from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
-from dolfinx_tresca.errors import InputError, PairingError, StiffnessError, shown
-from dolfinx_tresca.monitor import Iteration, NewtonProgress, Observer
+from dolfinx_tresca.errors import PairingError, StiffnessError
+from dolfinx_tresca.monitor import Iteration, NewtonProgress
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.result import ContactSolution
@@ -56,6 +57,15 @@ ADDED = (
 FIRST_SLOW = [proximal > 0.0 for _, proximal in ADDED].index(True)
 
 
+#: Advice about elements that are unstable since they keep their volume.
+UNSTABLE_ELEMENTS = (
+    ". In bodies that hardly change their volume (Poisson's ratio from 0.45 on), elements with "
+    "displacements alone become unstable early: take a pressure as a further unknown, in a mixed "
+    "space. Elements with a pressure wrinkle under large compression: keep a part of the energy of "
+    "the volume in the displacement. See 'Nearly incompressible rubber' in the docs"
+)
+
+
 @dataclass(frozen=True)
 class NewtonOptions:
     """Options of Newton's method.
@@ -84,19 +94,11 @@ class NewtonOptions:
         Raises:
             InputError: a value is of the wrong type or out of its range.
         """
-        accuracy = real(self.accuracy)
-        steps, halvings = integer(self.max_iterations), integer(self.max_halvings)
-        for name, wanted, is_right in (
-            ("accuracy", "a number in (0, 1)", accuracy is not None and 0.0 < accuracy < 1.0),
-            ("max_iterations", "an integer from 1 on", steps is not None and steps >= 1),
-            ("max_halvings", "an integer from 0 on", halvings is not None and halvings >= 0),
-        ):
-            if not is_right:
-                raise InputError(
-                    f"{name} of Newton's method must be {wanted}, found "
-                    f"{shown(getattr(self, name))}."
-                )
-        vars(self).update(accuracy=accuracy, max_iterations=steps, max_halvings=halvings)
+        vars(self).update(
+            accuracy=checked_number("accuracy of Newton's method", self.accuracy, "(0, 1)"),
+            max_iterations=checked_integer("max_iterations", self.max_iterations),
+            max_halvings=checked_integer("max_halvings", self.max_halvings, least=0),
+        )
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,7 @@ class Newton:
         options: options of Newton's method.
         contact: options of the contact algorithm.
         units: names of units, for tables and pictures of the solution.
-        observer: the user's function that observes iterations.
+        observe: function that observes iterations, and stops the solve if it returns True.
         start: values of u at which the solve starts.
         steps: all Newton steps so far.
         fraction: part of the change of load that has been applied.
@@ -208,7 +210,7 @@ class Newton:
     options: NewtonOptions
     contact: SolverOptions
     units: Units | None
-    observer: Observer | None
+    observe: Callable[[Iteration], bool]
     level: int
     steps: list[NewtonStep] = field(default_factory=list)
     fraction: float = 0.0
@@ -224,11 +226,8 @@ class Newton:
     _unstable: bool = False  # whether a step of this part took a slow entry of `ADDED`
 
     def __post_init__(self) -> None:
-        """Agree on an observer. Collective."""
+        """Begin at the present displacement. Not collective."""
         self.start = self.problem.u.x.array.copy()
-        self._observe = agreed_observer(
-            self.problem.comm, self.observer, "an Iteration, such as a ProgressBar"
-        )
 
     def run(self) -> None:
         """Apply the change of load, in parts where Newton's method fails. Collective.
@@ -241,7 +240,7 @@ class Newton:
         problem = self.problem
         step = 1.0
         while self.fraction < 1.0:
-            state = problem.surfaces.state
+            state = problem.state
             fraction = min(1.0, self.fraction + step)
             try:
                 problem.apply_load(fraction)
@@ -252,12 +251,12 @@ class Newton:
                 self.fraction, self.unbalanced, self.flips = fraction, None, None
                 step *= 2.0
                 if self._iteration is not None and self.fraction == 1.0:
-                    self._observe(replace(self._iteration, newton=self._progress(ended=True)))
+                    self.observe(replace(self._iteration, newton=self._progress(ended=True)))
                 continue
             log(problem.comm, "Newton's method: %s", self.failure)
             self.unbalanced = problem.unbalanced_forces()
             self.flips = problem.function_at_nodes("flips", self._flips)
-            problem.surfaces.return_to(state)
+            problem.return_to(state)
             step *= 0.5
             if self.stopped or self.stuck or step < 0.5**self.options.max_halvings:
                 self.failure += self._diagnosis()
@@ -272,30 +271,13 @@ class Newton:
         (nodes,) = reduce_array(self.problem.comm, [int((self._flips > 2.0).sum())])
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
-        elements = self._unstable_elements()
-        if elements in self.failure:
+        if UNSTABLE_ELEMENTS in self.failure:
             return text
         if self._unstable:
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
         if any("proximal" in step.added for step in self.steps):
-            text += elements
+            text += UNSTABLE_ELEMENTS
         return text
-
-    def _unstable_elements(self) -> str:
-        """Return a text on elements that may be unstable since they keep their volume."""
-        if self.problem.tangent.component is not None:
-            return (
-                ". In bodies that hardly change their volume, elements with a pressure wrinkle "
-                "under large compression: keep a part of the energy of the volume, with some five "
-                "times the shear modulus, in the displacement (see 'Nearly incompressible rubber' "
-                "in the docs)"
-            )
-        return (
-            ". In bodies that hardly change their volume (Poisson's ratio from 0.45 on), elements "
-            "with displacements alone become unstable early: take a pressure as a further unknown, "
-            "in a mixed space (see 'Nearly incompressible rubber' in the docs), or one point of "
-            "integration for the energy of the volume"
-        )
 
     def _equilibrium(self) -> str:
         """Take Newton steps to equilibrium for the present part of the load. Collective.
@@ -306,14 +288,13 @@ class Newton:
         Raises:
             PairingError: the displaced surfaces cannot be paired.
         """
-        problem, norm = self.problem, math.inf
-        number, slow = 0, False
+        problem, norm, number = self.problem, math.inf, 0
         errors: list[float] = []  # of each step, divided by the requested error
         self._unstable = False
-        pressed = problem.surfaces.normal_forces_at_nodes() > 0.0
+        pressed = problem.normal_forces_at_nodes() > 0.0
         self._flips = np.zeros(pressed.shape[1])
-        if problem.surfaces.slides_far:
-            self._sliding = FiniteSliding(problem.surfaces)
+        if problem.slides_far:
+            self._sliding = FiniteSliding(problem)
             self.level = 0  # springs would hold the partners of another configuration
             with suppress(StiffnessError):  # the steps will add stiffness
                 problem.factor()
@@ -332,7 +313,7 @@ class Newton:
             size = problem.comm.bcast(max(problem.energy_norm(solution.w.x.array), from_start))
             change = problem.energy_norm(solution.w.x.array - before)
             problem.u.x.array[:] = solution.w.x.array
-            pressed_before, pressed = pressed, problem.surfaces.normal_forces_at_nodes() > 0.0
+            pressed_before, pressed = pressed, problem.normal_forces_at_nodes() > 0.0
             if number > 1:
                 self._flips += (pressed != pressed_before).any(axis=0)
             reason = "forces are NaN or infinite, as cells turn inside out"
@@ -340,20 +321,18 @@ class Newton:
                 residual = problem.residual_norm()
             except StiffnessError as error:
                 residual, reason = math.nan, str(error).rstrip(".")
-            forces = problem.surfaces.contact_forces()
+            forces = problem.contact_forces()
             if self.level > 0:
                 size = min(size, BALANCE * problem.norm_of_correction(forces) or size)
             size = size or problem.rounding_norm() / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
             size, correction, residual = problem.comm.bcast((size, change / size, residual / size))
             add_cost(self.cost, solution)
-            was_slow, slow = slow, self.level >= FIRST_SLOW
             # The residual of the first step may be small only because nothing had moved yet. Steps
             # with added stiffness lead from an unstable equilibrium to a stable one, and on the way
             # the residual grows before it falls: from 7e-4 to 2e-2, then to 7e-5, in a block of
             # degree 2 with 8 x 8 cells that snaps at a strain of 0.4335.
-            may_grow = number <= 2 or was_slow or self.level > 0
-            grows = residual * size >= norm and not may_grow
+            grows = residual * size >= norm and number > 2 and self.level == 0
             stalls = number > 2 and residual * size >= STALLED * norm
             reached = residual <= self.options.accuracy or (
                 stalls and problem.comm.bcast(residual * size <= problem.rounding_norm())
@@ -412,7 +391,7 @@ class Newton:
     def _observed(self, iteration: Iteration) -> bool:
         """Show an iteration of a step's contact problem to the user's observer. Collective."""
         self._iteration = replace(iteration, newton=self._progress())
-        return self._observe(self._iteration)
+        return self.observe(self._iteration)
 
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
@@ -464,6 +443,6 @@ class Newton:
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
-                f"buckle or fold here, or cells are almost inside out{self._unstable_elements()}"
+                f"buckle or fold here, or cells are almost inside out{UNSTABLE_ELEMENTS}"
             )
         raise failure

@@ -13,8 +13,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import warn
-from dolfinx_tresca._base.tolerances import ROUGH
+from dolfinx_tresca._base.parallel import agreed_observer, warn
+from dolfinx_tresca.contact.contact_system import inputs_changed
 from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
@@ -203,17 +203,12 @@ class NonlinearContactProblem(ContactProcess):
             if function is not None and not callable(function):
                 raise InputError(f"{name} must be a function or None, found {shown(function)}.")
         if not isinstance(u, fem.Function) or (
-            u not in F.coefficients() and before_assembly is None
+            u not in F.coefficients() and (before_assembly is None or J is None)
         ):
             raise InputError(
                 f"u must be the Function that the form F depends on, found {shown(u)}. For linear "
                 "bodies take ContactProblem; if a function computes the stress from u, give it as "
-                "before_assembly."
-            )
-        if J is None and u not in F.coefficients():
-            raise InputError(
-                "F does not contain u, so its derivative is not known: give J, with the tangent "
-                "that before_assembly computes."
+                "before_assembly, and give J with the tangent that it computes."
             )
         argument_count = len(F.arguments())
         if argument_count != 1:
@@ -229,7 +224,7 @@ class NonlinearContactProblem(ContactProcess):
             if not isinstance(J, ufl.Form):
                 raise InputError(f"symmetrize needs J as a UFL form, found {shown(J)}.")
             J = 0.5 * (J + ufl.adjoint(J))
-        self._forms, self._is_symmetrized = (F, J), symmetrize
+        self._F, self._is_symmetrized = F, symmetrize
         tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         solver = stiffness, petsc_options, petsc_options_prefix
         stiffness_of_tangent = Factorisation(tangent, self.pairs, *solver)
@@ -266,9 +261,8 @@ class NonlinearContactProblem(ContactProcess):
             ConvergenceError: the tangent at the solution is not positive definite without the
                 contact.
         """
-        super()._solved_for(purpose)
-        problem = self._contact
-        if problem.surfaces.state.solution is None:
+        former, problem = super()._solved_for(purpose), self._contact
+        if not problem.state.pending:
             raise ContactError(
                 f"there is no solution for {purpose}: call solve() first, and accept() afterwards."
             )
@@ -277,7 +271,6 @@ class NonlinearContactProblem(ContactProcess):
                 f"{purpose} needs the derivative of F, and symmetrize=True takes its symmetric "
                 "part."
             )
-        former = problem.surfaces.state.acceptable(unconverged=True)
         problem.tangent.forget_material()  # loads may have changed since
         with problem.restored():
             try:
@@ -291,24 +284,18 @@ class NonlinearContactProblem(ContactProcess):
                     "two solutions."
                 ) from error
             problem.solve(self.options, self.units, lambda _: False)
-            solved = problem.surfaces.state.acceptable(unconverged=True)
+            solved = problem.solution_for(purpose)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
-            size, rounding = problem.energy_norm(self.u.x.array), problem.rounding_norm()
-        # a larger change shows that the inputs have changed since the solve
-        if self.comm.bcast(change > max(ROUGH * size, rounding)):
-            raise ContactError(
-                "loads, prescribed values, slip bounds or coefficients have changed since the "
-                f"solution that {purpose} is for: call solve()."
-            )
+            # a large change shows that the inputs have changed since the solve
+            inputs_differ = problem.is_large(change, self.u.x.array)
+        if inputs_differ:
+            raise inputs_changed(purpose)
         solved = replace(solved, status=former.status, history=former.history, fields=former.fields)
-        problem.surfaces.state = replace(problem.surfaces.state, solution=solved)
+        problem.state = replace(problem.state, solution=solved)
         return solved
 
-    def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:
-        F, J = self._forms  # they depend on the user's own Function
-        if not isinstance(J, ufl.Form):
-            raise InputError(f"a derivative needs J as a UFL form, found {shown(J)}.")
-        return F, J
+    def _residual_at(self, u: fem.Function) -> ufl.Form:
+        return self._F  # it depends on the user's own Function
 
     @collective(comm_of_self, ignored=("observer",), extra_values=problem_to_agree)
     def solve(
@@ -342,15 +329,16 @@ class NonlinearContactProblem(ContactProcess):
         options = self.options if options is None else options
         newton = self.newton if newton is None else newton
         _check_options(options, newton)
+        observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
         self._contact.begin()
         self._solves += 1
-        run = Newton(self._contact, newton, options, self.units, observer, self._level)
+        run = Newton(self._contact, newton, options, self.units, observe, self._level)
         try:
             run.run()
         finally:
             self._contact.end_load()
-        state = self._contact.surfaces.state
-        self._contact.surfaces.state = replace(state, end=state.unknowns)
+        state = self._contact.state
+        self._contact.state = replace(state, end=state.unknowns)
         released, snaps = np.nan, False
         if run.solution is not None and run.fraction == 1.0:
             released, snaps = self._contact.balance.released(run.start, run.solution.dissipation)
@@ -378,8 +366,7 @@ class NonlinearContactProblem(ContactProcess):
         status, message = solution.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
-            surfaces = self._contact.surfaces
-            surfaces.state = surfaces.state.with_status(status)
+            self._contact.state = self._contact.state.with_status(status)
             hint = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
             hint += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
             hint += "max_iterations=...). "

@@ -21,11 +21,10 @@ from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.state_file import SavedState, write_state
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
-from dolfinx_tresca.derivatives.goals import checked_form_or_goal, value_of
+from dolfinx_tresca.derivatives.goals import value_of
 from dolfinx_tresca.derivatives.gradient_and_tangent import (
     ContactTangent,
     as_derivatives,
-    checked_controls,
     checked_directions,
     gradient,
     tangent_of,
@@ -40,7 +39,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.fields import slip_from
-from dolfinx_tresca.solution.forces import Forms, Resultant, Supports
+from dolfinx_tresca.solution.forces import Resultant, Supports
 from dolfinx_tresca.table import Row, Tabulated
 from dolfinx_tresca.units import Units
 
@@ -102,7 +101,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact = contact
         self.comm, self.mesh = contact.comm, contact.linear.V.mesh
         self.prescribed: Mask = contact.linear.prescribed
-        self.solves_exactly: bool = contact.surfaces.compliance.operator.exact
+        self.solves_exactly: bool = contact.compliance.operator.exact
 
     @property
     def free_dofs(self) -> int:
@@ -110,29 +109,37 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Prescribed degrees of freedom are not counted.
         """
-        return self._contact.surfaces.summary.free_dofs
+        return self._contact.summary.free_dofs
 
     @property
     def contact_nodes(self) -> int:
         """The number m of nodes with multipliers, of all pairs on all ranks. Not collective."""
-        return self._contact.surfaces.summary.contact_nodes
+        return self._contact.summary.contact_nodes
 
     @property
     def operators(self) -> tuple[ContactOperators, ...]:
-        """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`.
+        """N, T, gap and areas of each pair, for other solvers: see `ContactOperators`. Collective.
 
+        Nodes of two pairs with a common multiplier have rows in both, with a part of the area each.
         N and T act on the whole displacement, prescribed degrees of freedom included. Tangents are
         those of the last solve: orthotropic friction may turn them.
         """
         self._contact.check_not_destroyed()
-        return self._contact.surfaces.operators
+        contact = self._contact
+        contact.update_gaps()
+        component = contact.linear.component
+        columns = () if component is None else (component.columns,)
+        return tuple(
+            ContactOperators(contact.linear.V, rows.operators, pair, *columns)
+            for rows, pair in zip(contact.jump.by_pair, self.pairs, strict=True)
+        )
 
     def _rows(self) -> list[Row]:
         method = f"{self.options.method}, {self.options.target}"
         return [*self._contact.rows(self.units), ("method", method)]
 
     def __repr__(self) -> str:
-        summary, method = self._contact.surfaces.summary, self._contact.stiffness.method
+        summary, method = self._contact.summary, self._contact.stiffness.method
         return (
             f"<{type(self).__name__}: {summary.dofs} displacements, {summary.contact_nodes} "
             f"contact nodes in {len(self.pairs)} pair(s), {method}>"
@@ -147,9 +154,9 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Accepted load steps stay: the slip still counts from the last accepted step. Not collective.
         """
-        surfaces = self._contact.surfaces
-        surfaces.state = surfaces.state.started_at(np.zeros_like(surfaces.state.multipliers))
-        surfaces.compliance.forget()
+        state = self._contact.state
+        self._contact.state = state.started_at(np.zeros_like(state.multipliers))
+        self._contact.compliance.forget()
 
     @collective(comm_of_self)
     def accept(self, *, unconverged: bool = False) -> None:
@@ -175,10 +182,10 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: the last solve failed, or the scene has left linear theory.
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
-            surfaces = self._contact.surfaces
-            self._contact.advance_material(surfaces.state.acceptable(unconverged))
-            surfaces.state = surfaces.state.after_solution(unconverged)
-            surfaces.obstacles.place(surfaces.state.accepted.motions, only_held_by_forces=True)
+            contact = self._contact
+            contact.advance_material(contact.state.acceptable(unconverged))
+            contact.state = contact.state.after_solution(unconverged)
+            contact.obstacles.place(contact.state.accepted.motions, only_held_by_forces=True)
 
     @collective(comm_of_self, extra_values=problem_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
@@ -196,15 +203,14 @@ class ContactProcess(PetscOwner, Tabulated):
                 infinite.
             ContactError: the problem was destroyed.
         """
-        self._contact.check_not_destroyed()
-        self._contact.check_no_tools("a slip origin")
+        contact, jump = self._contact, self._contact.jump
+        contact.check_not_destroyed()
+        contact.check_no_tools("a slip origin")
         if u is not None:
-            self._contact.linear.check_displacement("the slip origin", u, " or None,")
-        surfaces = self._contact.surfaces
-        surfaces.note_obstacles()
-        jump = surfaces.jump
+            contact.linear.check_displacement("the slip origin", u, " or None,")
+        contact.note_obstacles()
         slip = SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u)
-        surfaces.state = surfaces.state.after_step(slip, None if u is None else u.copy())
+        contact.state = contact.state.after_step(slip, None if u is None else u.copy())
 
     @collective(comm_of_self)
     def continue_from(self, solution: ContactSolution) -> None:
@@ -234,18 +240,18 @@ class ContactProcess(PetscOwner, Tabulated):
                 f"continue_from needs a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
                 f"found {shown(solution)}."
             )
-        if any(pair.sliding == "finite" for pair in self.pairs):
+        if self._contact.slides_far:
             raise InputError(
                 "a step on another mesh cannot be continued with finite sliding, which counts slip "
                 "from the displacement of that step."
             )
-        self._contact.check_no_tools("the continuation of a step on another mesh")
+        contact, jump = self._contact, self._contact.jump
+        contact.check_no_tools("the continuation of a step on another mesh")
         solution.raise_if_failed()
-        surfaces = self._contact.surfaces
-        surfaces.note_obstacles()
-        slips = slip_from(solution.surfaces, surfaces.jump)
-        history = SlipHistory.from_slip(surfaces.jump, slips, solution.total_dissipation)
-        surfaces.state = surfaces.state.after_step(history, None)
+        contact.note_obstacles()
+        slips = slip_from(solution.surfaces, jump)
+        history = SlipHistory.from_slip(jump, slips, solution.total_dissipation)
+        contact.state = contact.state.after_step(history, None)
 
     @collective(comm_of_self, ignored=("path",))
     def save_state(
@@ -274,7 +280,7 @@ class ContactProcess(PetscOwner, Tabulated):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._check_material(material)
         path = Path(self.comm.bcast(str(path)))
-        write_state(path, self._contact.surfaces.start, number, material)
+        write_state(path, self._contact.start, number, material)
 
     @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
@@ -297,18 +303,18 @@ class ContactProcess(PetscOwner, Tabulated):
                 laws of another kind (with friction, without friction, bonded), or to another
                 number of Functions of the material; then nothing has changed.
         """
-        surfaces = self._contact.surfaces
-        self._contact.check_not_destroyed()
+        contact = self._contact
+        contact.check_not_destroyed()
         self._check_material(material)
-        saved = SavedState(Path(self.comm.bcast(str(path))), surfaces.state, material)
-        former, motions = surfaces.state, surfaces.obstacles.motions
+        saved = SavedState(Path(self.comm.bcast(str(path))), contact.state, material)
+        former, motions = contact.state, contact.obstacles.motions
         try:
-            surfaces.obstacles.motions = saved.motions
-            surfaces.pair_where_changed(saved.configuration, saved.geometry)
-            surfaces.state = saved.state(surfaces.state)
+            contact.obstacles.motions = saved.motions
+            contact.pair_where_changed(saved.configuration, saved.geometry)
+            contact.state = saved.state(contact.state)
         except ContactError:
-            surfaces.obstacles.motions = motions
-            surfaces.return_to(former)
+            contact.obstacles.motions = motions
+            contact.return_to(former)
             raise
         for function, values in zip(material, saved.material, strict=True):
             function.x.array[:] = values
@@ -386,9 +392,9 @@ class ContactProcess(PetscOwner, Tabulated):
                 depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
-        controls = checked_controls(controls)
         data = self._data_of_solution()
-        goals = [(1.0, self._goal_at(goal, data.u))]
+        data.check_controls(controls)
+        goals = [(1.0, data.checked_goal(goal))]
         return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
 
     @collective(comm_of_self)
@@ -418,28 +424,10 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, nothing holds a body against the change
                 of its loads.
         """
-        controls = checked_controls(controls)
-        directions = checked_directions(controls, directions)
         data = self._data_of_solution()
-        return tangent_of(
-            data,
-            self._contact.surfaces.secondary,
-            controls,
-            directions,
-            lambda goal: self._goal_at(goal, data.u),
-        )
-
-    def _goal_at(self, goal: Any, u: fem.Function) -> Goal | ufl.Form:
-        """Return a checked goal in which u replaces the `u` of a nonlinear problem. Not collective.
-
-        Raises:
-            InputError: the goal is wrong.
-        """
-        present = self._contact.surfaces.unknowns
-        goal = checked_form_or_goal(goal, len(self.pairs), self._contact.linear.V)
-        if isinstance(goal, ufl.Form) and present is not None:
-            return ufl.replace(goal, {present: u})
-        return goal
+        data.check_controls(controls)
+        directions = checked_directions(controls, directions)
+        return tangent_of(data, self._contact.secondary, controls, directions)
 
     def _data_of_solution(self) -> DataOfSolution:
         """Return the data of the last solution, to differentiate them. Collective.
@@ -451,12 +439,13 @@ class ContactProcess(PetscOwner, Tabulated):
             InputError: see `gradient`.
         """
         self._check_pairing_fixed()
-        self._solved_for("a derivative")
+        solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
-        contact = LinearisedContact.of_last_solve(self._contact)
-        contact.log_edge()
-        data = DataOfSolution(self._contact, self._forms_at(contact.u), contact.u)
-        data.linearise(contact)
+        u, bounds = solved.fields.u, self._contact.slip_bounds()
+        solution = LinearisedContact(solved.dual, solved.multipliers, u, bounds)
+        solution.log_edge()
+        data = DataOfSolution(self._contact, self._residual_at(u), u)
+        data.linearise(solution)
         return data
 
     @collective(comm_of_self)
@@ -484,16 +473,18 @@ class ContactProcess(PetscOwner, Tabulated):
 
             >>> problem.reaction(7).force[2]  # doctest: +SKIP
         """
-        contact, surfaces = self._contact, self._contact.surfaces
+        contact = self._contact
         fields = contact.solution_for("reaction()").fields
         u = getattr(self, "u", fields.deformation)
         facet_tags = self.pairs[0].given_tags("secondary")[0]
-        supports = Supports(self._forms_at(u), u, fields.contact_force, self.prescribed, facet_tags)
-        moved = fields.u if surfaces.slides_far else None
-        result = supports.reaction(where, point, moved=moved, frames=surfaces.jump.frames)
+        linear, contact_force = contact.linear, fields.contact_force
+        forms = self._residual_at(u), linear.bcs, linear.entity_maps
+        supports = Supports(*forms, u, contact_force, self.prescribed, facet_tags)
+        moved = fields.u if contact.slides_far else None
+        result = supports.reaction(where, point, moved=moved, frames=contact.jump.frames)
         tag = integer(where)
         if tag is None:
-            name = f"bcs[{[where is bc for bc in supports.forms.bcs].index(True)}]"
+            name = f"bcs[{[where is bc for bc in supports.bcs].index(True)}]"
         else:
             name = getattr(supports.facet_tags, "names", {}).get(tag, f"tag {tag}")
         fields.reactions[name] = result
@@ -505,7 +496,7 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             InputError: a pair has finite sliding.
         """
-        if self._contact.surfaces.slides_far:
+        if self._contact.slides_far:
             raise InputError(
                 'a derivative is not known for pairs with sliding="finite": the pairing of their '
                 "surfaces depends on the solution."
@@ -532,19 +523,10 @@ class ContactProcess(PetscOwner, Tabulated):
             )
         return contact.solution_for(purpose)
 
-    def _forms_at(self, u: fem.Function) -> Forms:
-        """Return the forms and conditions of the bodies at a displacement. Not collective.
+    @abstractmethod
+    def _residual_at(self, u: fem.Function) -> ufl.Form:
+        """Return internal minus external forces at u, a form of rank 1. Not collective.
 
         Raises:
             InputError: a form is no form of UFL.
         """
-        residual, tangent = self._residual_and_tangent(u)
-
-        (test,), linear = residual.arguments(), self._contact.linear
-        return Forms(
-            lambda z: ufl.replace(residual, {test: z}), tangent, linear.bcs, linear.entity_maps
-        )
-
-    @abstractmethod
-    def _residual_and_tangent(self, u: fem.Function) -> tuple[ufl.Form, ufl.Form]:
-        """Return internal minus external forces at u, a form of rank 1, and their derivative."""

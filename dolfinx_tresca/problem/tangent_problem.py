@@ -81,9 +81,9 @@ class TangentProblem(ContactSystem):
                 tangent.assemble_form()
                 self._mixed_norm = tangent.displacement_stiffness()
             super().__init__(factorisation)
-        self.surfaces.unknowns = u
+        self.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
-        self._places = (self.surfaces.obstacles.motions,) * 2
+        self._places = (self.obstacles.motions,) * 2
         self._loads_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
@@ -117,10 +117,8 @@ class TangentProblem(ContactSystem):
         try:
             with self.at_unknowns(w.x.array):
                 self.tangent.forget_material()
-                moved, start = self.residual_norm(), self._reference
-                size = max(self.energy_norm(values) for values in (w.x.array, w.x.array - start))
-                limit = max(ROUGH * size, self.rounding_norm())
-                if is_converged and self.comm.bcast(not moved <= limit):
+                states = w.x.array, w.x.array - self._reference
+                if is_converged and self.is_large(self.residual_norm(), *states):
                     raise ContactError(
                         "the history of the material, loads or coefficients of F have changed "
                         "since the solution that is to be accepted: call solve() again, and "
@@ -158,7 +156,7 @@ class TangentProblem(ContactSystem):
             added.axpy(1.0, reference, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self.tangent.added = added
         try:
-            self.surfaces.update_stiffness()
+            self.update_stiffness()
             self._tangent_is_plain = added is None
         finally:
             self.tangent.added = None
@@ -173,12 +171,12 @@ class TangentProblem(ContactSystem):
         Args:
             factor: stiffness C of each spring, relative to the stiffness of the row's node.
         """
-        jump, tangent = self.surfaces.jump, self.tangent
+        jump, tangent = self.jump, self.tangent
         u = fem.Function(tangent.space)
         u.x.array[:] = self.u.x.array
         u.x.array[: len(tangent.prescribed)][tangent.prescribed] = tangent.prescribed_values()
         u.x.scatter_forward()
-        contact = jump.gap + self.surfaces.history_of_solve().origin
+        contact = jump.gap + self.history_of_solve().origin
         missing = contact - jump.of_unknowns(u.x.petsc_vec)
         B = jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
@@ -193,7 +191,7 @@ class TangentProblem(ContactSystem):
 
     def _nodal_stiffness(self) -> Array:
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
-        jump = self.surfaces.jump
+        jump = self.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
             with self.at_unknowns(self._reference):
                 self.tangent.assemble_stiffness()
@@ -208,8 +206,8 @@ class TangentProblem(ContactSystem):
         of bonded pairs are in contact. If all multipliers are zero, normal rows of nodes that touch
         are in contact.
         """
-        jump, multipliers = self.surfaces.jump, self.surfaces.state.multipliers
-        lam = jump.bounded(self.surfaces.slip_bounds()).section(multipliers)
+        jump, multipliers = self.jump, self.state.multipliers
+        lam = jump.bounded(self.slip_bounds()).section(multipliers)
         held: Mask = np.ones(len(multipliers), dtype=np.bool_)
         if self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
             held[lam.normal] = multipliers[lam.normal] > 0.0
@@ -253,20 +251,20 @@ class TangentProblem(ContactSystem):
                 raise InputError(
                     "u, which the solve starts from, has values that are NaN or infinite."
                 )
-        before = self.surfaces.state.motions
+        before = self.state.motions
         self.balance = EnergyBalance(self)
-        self.surfaces.begin_solve()
-        accepted = self.surfaces.state.accepted
+        self.begin_solve()
+        accepted = self.state.accepted
         u = accepted.displacement
         same = u is not None and np.array_equal(u.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
             before = accepted.motions  # a trial may have left obstacles elsewhere
-        self._places, self._loads_in_parts = (before, self.surfaces.obstacles.motions), False
+        self._places, self._loads_in_parts = (before, self.obstacles.motions), False
         self.tangent.forget_material()  # the caller may have changed the material's history
         self.tangent.check_functions()
         if self._has_history:
             self._reference = self.u.x.array.copy()
-        self.surfaces.align_tangents(self.surfaces.slip_bounds())
+        self.align_tangents(self.slip_bounds())
 
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
@@ -280,7 +278,7 @@ class TangentProblem(ContactSystem):
         """
         if fraction < 1.0 and not self._loads_in_parts:
             self._place_obstacles(0.0)
-            self.tangent.begin(self.surfaces.contact_forces())
+            self.tangent.begin(self.contact_forces())
             self._loads_in_parts = True
         if self._loads_in_parts:
             self._place_obstacles(fraction)
@@ -289,13 +287,13 @@ class TangentProblem(ContactSystem):
     def _place_obstacles(self, fraction: float) -> None:
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
         if not np.array_equal(*self._places):
-            obstacles = self.surfaces.obstacles
+            obstacles = self.obstacles
             obstacles.motions = obstacles.between(*self._places, fraction)
-            self.surfaces.pair_where_changed()
+            self.pair_where_changed()
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
-        self.surfaces.obstacles.motions = self._places[1]
+        self.obstacles.motions = self._places[1]
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
@@ -305,25 +303,36 @@ class TangentProblem(ContactSystem):
         step, so this displacement is a simplified Newton correction (Deuflhard 2011, Newton methods
         for nonlinear problems, 2.1.1).
         """
-        return self.norm_of_correction(self.tangent.residual(self.surfaces.contact_forces()))
+        return self.norm_of_correction(self.tangent.residual(self.contact_forces()))
 
     def norm_of_correction(self, forces: Array) -> float:
         """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
 
         The result is NaN if F is not finite. In a mixed space, it is the `energy_norm` of K^-1 F.
         """
-        force = self.surfaces.jump.matrix.createVecRight()
+        force = self.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):
             return math.nan
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
-        solver = self.surfaces.compliance.operator.solver
+        solver = self.compliance.operator.solver
         solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
         if self._mixed_norm is not None:
             correction.x.scatter_forward()
             return self.energy_norm(correction.x.array)
         return math.sqrt(max(float(force.dot(motion)), 0.0))
+
+    def is_large(self, error: float, *displacements: Array) -> bool:
+        """Return whether an error is more than that of a rough solution or of rounding. Collective.
+
+        Args:
+            error: an `energy_norm`; NaN is large.
+            displacements: values of u to which the error is compared, with ghosts.
+        """
+        size = max(map(self.energy_norm, displacements))
+        limit = max(ROUGH * size, self.rounding_norm())
+        return bool(self.comm.bcast(not error <= limit))
 
     def rounding_norm(self) -> float:
         """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
@@ -357,7 +366,7 @@ class TangentProblem(ContactSystem):
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
         try:
-            residual = self.tangent.residual(self.surfaces.contact_forces())
+            residual = self.tangent.residual(self.contact_forces())
         except StiffnessError:  # the user's function has no stresses here
             residual = np.full(len(self.tangent.prescribed), np.nan)
         forces = with_owned_values(self.tangent.space, residual)
@@ -414,20 +423,20 @@ class EnergyBalance:
         Args:
             problem: the problem before its surfaces are paired for the next solve.
         """
-        state = problem.surfaces.state
+        state = problem.state
         self._problem = problem
-        self._motions = state.motions, problem.surfaces.obstacles.motions
+        self._motions = state.motions, problem.obstacles.motions
         self._start = problem.u.x.array.copy()
         known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
-        self._ends = known_ends or [np.zeros_like(self._start)]
+        ends = known_ends or [np.zeros_like(self._start)]
+        self._begins_at_end = any(np.array_equal(self._start, end) for end in ends)
         self._forces_at_start, self._work_at_start, _ = self._contact()
 
     def _contact(self) -> tuple[Array, float, float]:
         """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
-        surfaces = self._problem.surfaces
-        multipliers = surfaces.state.multipliers
-        jumps, largest = surfaces.obstacle_jumps(*self._motions)
-        forces = np.array(surfaces.jump.whole_force(multipliers).array)
+        problem, multipliers = self._problem, self._problem.state.multipliers
+        jumps, largest = problem.obstacle_jumps(*self._motions)
+        forces = np.array(problem.jump.whole_force(multipliers).array)
         return forces, float(multipliers @ jumps), largest
 
     def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
@@ -449,8 +458,7 @@ class EnergyBalance:
         change = problem.u.x.array - self._start
         owned, moves = change[: len(forces)], tangent.moves
         sizes = [np.abs(owned[rows]).max(initial=0.0) for rows in (moves, tangent.prescribed)]
-        starts_there = np.array_equal(start, self._start)
-        starts_there &= any(np.array_equal(start, end) for end in self._ends)
+        starts_there = self._begins_at_end and np.array_equal(start, self._start)
         moved, held, driven, elsewhere = reduce_array(
             problem.comm, [*sizes, driven, float(not starts_there)], MPI.MAX
         )

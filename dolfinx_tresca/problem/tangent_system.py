@@ -164,8 +164,8 @@ class TangentSystem(LinearSystem):
     @property
     def outdated(self) -> bool:
         """Whether coefficients of the form have changed since K was assembled. Collective."""
-        unknown = self.form is None and self._material_changed
-        return unknown or super().outdated
+        unknown = self._material_changed or not self.has_material
+        return (self.form is None and unknown) or super().outdated
 
     def assemble_stiffness(self) -> None:
         """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective.
@@ -214,18 +214,14 @@ class TangentSystem(LinearSystem):
         self._prescribed_before = owned[self.prescribed]
         self._initial_residual = self.internal_forces() + contact_forces
 
-    @property
-    def _remaining_load(self) -> Array:
-        """The part h [force] of the change of load that is not applied yet. Not collective."""
-        return (1.0 - self.fraction) * self._initial_residual
-
     def residual(self, contact_forces: Array) -> Array:
         """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective.
 
         Args:
             contact_forces: B'lambda on owned degrees of freedom, zero where prescribed.
         """
-        return self.internal_forces() + contact_forces - self._remaining_load
+        remaining_load = (1.0 - self.fraction) * self._initial_residual
+        return self.internal_forces() + contact_forces - remaining_load
 
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
@@ -233,7 +229,7 @@ class TangentSystem(LinearSystem):
         u = np.array(self.u.x.array[: len(self.prescribed)])
         u[self.prescribed] -= values
         owned = self.f.x.array[: len(u)]
-        owned[:] = self.product(u).array - self.internal_forces() + self._remaining_load
+        owned[:] = self.product(u).array - self.residual(np.zeros_like(u))
         if self.added_forces is not None:
             owned += self.added_forces
         owned[self.prescribed] = values

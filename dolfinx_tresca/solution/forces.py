@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -205,40 +205,23 @@ def resultants_between(
 
 
 @dataclass(frozen=True)
-class Forms:
-    """The forms and conditions of the bodies, as users gave them.
-
-    Attributes:
-        residual: function (z) -> residual R(u; z), a form of rank 0, for a Function z.
-        tangent: dR/du, a bilinear form.
-        bcs: Dirichlet conditions.
-        entity_maps: entity maps, needed if the forms contain Functions on surfaces; None: there are
-            no entity maps.
-    """
-
-    residual: Callable[[fem.Function], Any]
-    tangent: Any
-    bcs: Sequence[Any]
-    entity_maps: EntityMaps | None
-
-    def compiled(self, form: Any) -> fem.Form:
-        """Return a compiled form. Collective."""
-        return fem.form(form, entity_maps=self.entity_maps)
-
-
-@dataclass(frozen=True)
 class Supports:
     """Supports of the bodies at a solution: Dirichlet conditions, and springs on surfaces.
 
     Attributes:
-        forms: the forms and conditions of the bodies.
-        u: the displacement in these forms; for bodies that have turned, that in their frames.
+        residual: internal minus external forces at u, a form of rank 1.
+        bcs: the Dirichlet conditions.
+        entity_maps: entity maps, needed if the form contains Functions on surfaces; None: there are
+            no entity maps.
+        u: the displacement in this form; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
         prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         facet_tags: tags of facets, for supports that are given by a tag.
     """
 
-    forms: Forms
+    residual: ufl.Form
+    bcs: Sequence[Any]
+    entity_maps: EntityMaps | None
     u: fem.Function
     contact_force: fem.Function
     prescribed: Mask
@@ -275,23 +258,23 @@ class Supports:
             raise InputError(
                 "reaction() needs forms of the displacement alone, not of a mixed space."
             )
-        residual = self.forms.residual(ufl.TestFunction(V))
-        forces = self._at_nodes(residual)
+        forces = self._at_nodes(self.residual)
         if frames is not None:  # loads are in space, internal forces in the frames
-            loads = self._at_nodes(ufl.replace(residual, {u: fem.Function(u.function_space)}))
+            at_rest = ufl.replace(self.residual, {u: fem.Function(u.function_space)})
+            loads = self._at_nodes(at_rest)
             forces = frames.into_space(forces - loads) + loads
         forces -= self.contact_force.x.array[: len(forces)]
         sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~self.prescribed, slice(None))]
         sizes.append(np.abs(self.contact_force.x.array).max(initial=0.0))
         unbalanced, *largest = reduce_array(V.mesh.comm, sizes, MPI.MAX)
         # solutions of the default accuracy leave less than a hundredth of this
-        if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding(residual):
+        if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding():
             raise ContactError(
                 "loads, prescribed values or coefficients have changed since the solution, or it "
                 f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
                 "the largest force. Call solve() before reaction()."
             )
-        held, springs = self._held_and_springs(where, residual)
+        held, springs = self._held_and_springs(where)
         forces = np.where(held, forces, 0.0)
         if springs:
             forces -= self._at_nodes(springs)
@@ -302,9 +285,9 @@ class Supports:
     def _at_nodes(self, form: Any) -> Array:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
         V = self.contact_force.function_space
-        return owned_values(assembled(form, V, self.forms.entity_maps)).ravel()
+        return owned_values(assembled(form, V, self.entity_maps)).ravel()
 
-    def _rounding(self, residual: Any) -> float:
+    def _rounding(self) -> float:
         """Return the size of rounding errors of the forces [force]. Collective.
 
         Bodies that have moved freely have no forces but these. Internal forces of displacements
@@ -315,16 +298,15 @@ class Supports:
         parity = np.arange(len(u.x.array)) // u.function_space.dofmap.bs % 2
         opposite.x.array[:] = u.x.array * (1.0 - 2.0 * parity)
         opposite.x.scatter_forward()
-        forces = self._at_nodes(ufl.derivative(residual, u, opposite))
+        forces = self._at_nodes(ufl.derivative(self.residual, u, opposite))
         largest = reduce_array(u.function_space.mesh.comm, np.abs(forces).max(initial=0.0), MPI.MAX)
         return 1e-10 * float(largest)
 
-    def _held_and_springs(self, where: Any, residual: ufl.Form) -> tuple[Mask, ufl.Form | None]:
+    def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:
         """Return the nodes that a support holds, and its springs. Collective.
 
         Args:
             where: see `reaction`.
-            residual: the residual of the forms, with a test function.
 
         Returns:
             (owned dofs,) whether the support holds the degree of freedom; and the terms of its
@@ -333,11 +315,11 @@ class Supports:
         Raises:
             InputError: see `reaction`.
         """
-        forms, V = self.forms, self.contact_force.function_space
+        V = self.contact_force.function_space
         held = np.zeros(len(self.prescribed), dtype=np.bool_)
         tag, springs = integer(where), []
         if tag is None:
-            if not any(where is bc for bc in forms.bcs):
+            if not any(where is bc for bc in self.bcs):
                 raise InputError(
                     "reaction() needs the tag of a surface, or a Dirichlet condition in the list "
                     f"bcs of the problem, found {shown(where)}."
@@ -352,7 +334,7 @@ class Supports:
             held.reshape(-1, V.dofmap.bs)[nodes] = True
             springs = [
                 integral.reconstruct(subdomain_id=tag)
-                for integral in residual.integrals()
+                for integral in self.residual.integrals()
                 if integral.integral_type() == "exterior_facet"
                 and tag in np.atleast_1d(integral.subdomain_id())
                 and self.u in ufl.algorithms.extract_coefficients(integral.integrand())

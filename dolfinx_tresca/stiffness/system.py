@@ -249,6 +249,15 @@ class LinearSystem(PetscOwner):
         self._columns.mult(given, forces)
         return forces
 
+    def reactions_of(self, u: PETSc.Vec) -> Array:
+        """Return K u [force] where values are prescribed, if they are zero in u. Collective.
+
+        Here K is the symmetric matrix before the elimination.
+        """
+        reactions = self._columns.createVecRight()
+        self._columns.multTranspose(u, reactions)
+        return np.array(reactions.array)
+
     def product(self, u: Array) -> PETSc.Vec:
         """Return K u [force] at free degrees of freedom, with prescribed values in u. Collective.
 

@@ -24,7 +24,7 @@ from dolfinx_tresca import (
     Tresca,
     refine,
 )
-from dolfinx_tresca._base.arguments import checked_positive_integer
+from dolfinx_tresca._base.arguments import checked_integer
 from dolfinx_tresca._base.arrays import integer, real
 from dolfinx_tresca.stiffness.choice import choose
 from scenes.blocks import block
@@ -74,7 +74,7 @@ WHOLE = {
     "iterations": lambda value: SolverOptions(max_iterations=value),
     "steps": lambda value: NewtonOptions(max_iterations=value),
     "halvings": lambda value: NewtonOptions(max_halvings=value),
-    "levels": lambda value: checked_positive_integer("max_levels", value),
+    "levels": lambda value: checked_integer("max_levels", value),
     "pair": NormalForce,
     "tag": lambda value: _pair(secondary=value, primary=RigidPlane((0, 0), (0, 1))),
     "solves": lambda value: choose("auto", 1.0, 3, value, MPI.COMM_SELF),

@@ -17,6 +17,7 @@ from dolfinx_tresca import (
     InputError,
     NewtonOptions,
     NonlinearContactProblem,
+    NormalForce,
     RigidPlane,
     RigidSphere,
     SolverOptions,
@@ -280,6 +281,20 @@ def test_what_newton_asks_of_contact_decides_no_status(comm, friction, sliding, 
         assert solution.status is ContactStatus.CONVERGED
         assert solution.options == problem.options
         problem.accept()
+
+
+def test_a_compiled_tangent(comm):
+    """It is assembled again in each step, and derivatives need no more than its matrix."""
+    steps, derivatives = [], []
+    for kind in (lambda J: J, fem.form):
+        scene = rubber_block(comm, (3, 2), clamped=True, friction=Coulomb(0.3))
+        J = kind(ufl.derivative(scene.F, scene.u))
+        with scene.problem(J=J, options=SolverOptions(rtol=1e-9)) as problem:
+            scene.push.value[:] = (0.05, -0.1)
+            steps.append(len(problem.solve().newton.steps))
+            derivatives.append(problem.gradient(NormalForce(), [scene.push])[0])
+    assert steps[0] == steps[1]
+    np.testing.assert_allclose(*derivatives, rtol=1e-6)
 
 
 def test_observer_stops(comm):
