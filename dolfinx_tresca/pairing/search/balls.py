@@ -34,6 +34,10 @@ from dolfinx_tresca.pairing.search.facets import (
 #: times as many, and of points and what may hide them 50 times as many.
 AT_ONCE = 2048
 
+#: Component of a direction in place of smaller ones and of zero: lines meet planes to which they
+#: are parallel at a distance that is larger than any mesh.
+PARALLEL = 1e-30
+
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
     """Concatenate the integer ranges starts[i], ..., starts[i] + numbers[i] - 1.
@@ -86,13 +90,11 @@ def line_intervals(
         The parameters (n,) at which the lines enter the box, and the parameters (n,) at which they
         leave it [length]. If a line misses the box, its first parameter is the greater one.
     """
-    low, high = box[0] - reach[:, None] - origins, box[1] + reach[:, None] - origins
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at_low, at_high = low / directions, high / directions
-    flat, inside = directions == 0.0, (low <= 0.0) & (high >= 0.0)
-    enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(at_low, at_high))
-    leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(at_low, at_high))
-    return enter.max(axis=1), leave.min(axis=1)
+    # a line that is parallel to a side of the box meets its plane far away
+    slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
+    at_low = (box[0] - reach[:, None] - origins) / slopes
+    at_high = (box[1] + reach[:, None] - origins) / slopes
+    return np.minimum(at_low, at_high).max(axis=1), np.maximum(at_low, at_high).min(axis=1)
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,16 @@ class Pieces:
         """
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
+
+    def near(self, points: Array, reach: Array) -> tuple[Indices, Indices]:
+        """Return the pairs of points (n, 3) and pieces that are nearer than reach (n,) [length].
+
+        The pairs are indices (m,) of the points, ascending, and of the pieces (m,).
+        """
+        within = reach + self.radii.max(initial=0.0)
+        point, piece = flattened(cKDTree(self.centres).query_ball_point(points, within))
+        is_near = self.distances(piece, points[point]) < reach[point]
+        return point[is_near], piece[is_near]
 
     def distances(self, chosen: Indices, points: Array) -> Array:
         """Return the distance (n,) of points (n, 3), each from a piece `chosen` (n,) [length]."""
