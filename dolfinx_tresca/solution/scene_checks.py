@@ -20,8 +20,8 @@ from dolfinx_tresca._base.parallel import reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.balls import Pieces, near_lines
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
+from dolfinx_tresca.pairing.search.pieces import Pieces, near_lines
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion

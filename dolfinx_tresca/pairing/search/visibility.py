@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.pairing.search.balls import AT_ONCE, Pieces, expanded_ranges, flattened
 from dolfinx_tresca.pairing.search.facets import (
     CREDIBLE_PART,
     MISMATCH,
     NEGLIGIBLE,
     SHALLOW_DEPTH,
 )
+from dolfinx_tresca.pairing.search.pieces import AT_ONCE, Pieces, expanded_ranges, flattened
 
 
 class Visibility:
@@ -112,7 +112,7 @@ class Visibility:
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
-        line, facet = side.balls.on_normals(
+        line, facet = side.on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
             np.maximum.reduceat(reach, starts) + pieces.radii[targets],
         )  # fmt: skip
