@@ -13,7 +13,6 @@ import numpy as np
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
 from dolfinx_tresca.pairing.contact_normal import SmoothSurface, contact_normals, turned_angles
-from dolfinx_tresca.pairing.search.balls import AT_ONCE, Pieces, blocks
 from dolfinx_tresca.pairing.search.facets import (
     FACING_COSINE,
     MISMATCH,
@@ -26,6 +25,7 @@ from dolfinx_tresca.pairing.search.facets import (
     quadrature,
     rounding_of,
 )
+from dolfinx_tresca.pairing.search.pieces import AT_ONCE, Pieces, blocks
 from dolfinx_tresca.pairing.search.self_contact import SelfContact
 from dolfinx_tresca.pairing.search.tagged import OFFSET_DEGREE, any_known_surface
 from dolfinx_tresca.pairing.search.visibility import (
@@ -197,7 +197,7 @@ class MortarIntegrals(FacetIntegrals):
         pieces, partners = self._pieces, self._others
         for block in blocks(len(mine)):
             own = mine[block]
-            line, partner = partners.balls.on_normals(
+            line, partner = partners.on_normals(
                 pieces.centres[own], pieces.normals[own], pieces.radii[own], limit[own]
             )
             piece = own[line]
@@ -282,7 +282,7 @@ class MortarIntegrals(FacetIntegrals):
             opposite[point_pair[is_primary & (weight > 0.0)]] = True
             weight = weight * ~is_primary
         area = weight
-        if not secondary.plane:  # areas of curved facets for those in the planes of pieces
+        if not secondary.affine:  # areas of curved facets for those in the planes of pieces
             vectors = secondary.area_vectors_at(own_facet, x_own)
             height = np.abs(np.einsum("ni,ni->n", vectors, pieces.normals[piece]))
             area = area * np.linalg.norm(vectors, axis=1) / height

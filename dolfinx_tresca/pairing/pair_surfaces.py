@@ -27,13 +27,13 @@ from dolfinx_tresca.pairing.group import PairGroup, Undeformed
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.multipliers import nodes_without_multiplier, owned_nodes
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.balls import at_own_nodes, halos, with_neighbours
 from dolfinx_tresca.pairing.search.facets import (
     MISMATCH,
     NEGLIGIBLE,
     Facets,
     SurfaceNodes,
 )
+from dolfinx_tresca.pairing.search.pieces import at_own_nodes, halos, with_neighbours
 from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
 from dolfinx_tresca.scene.pair import ContactPair, SideName

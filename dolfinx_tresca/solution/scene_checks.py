@@ -10,7 +10,6 @@ from mpi4py import MPI
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
@@ -21,8 +20,8 @@ from dolfinx_tresca._base.parallel import reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.balls import Pieces, flattened, near_lines
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
+from dolfinx_tresca.pairing.search.pieces import Pieces, near_lines
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.scene.rigid_motion import RigidMotion
@@ -258,13 +257,9 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
     points, normals = in_space(operators.places + jumps), in_space(operators.normals)
     reach = operators.sizes
     pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
-    lists = cKDTree(pieces.centres).query_ball_point(points, reach + pieces.radii.max(initial=0))
-    point, piece = flattened(lists)
+    point, piece = pieces.near(points, reach)
     opposed = np.einsum("ni,ni->n", normals[point], pieces.normals[piece]) < -FACING_COSINE
-    point, piece = point[opposed], piece[opposed]
-    result: Mask = np.zeros(len(points), dtype=np.bool_)
-    result[point[pieces.distances(piece, points[point]) <= reach[point]]] = True
-    return result
+    return np.isin(np.arange(len(points)), point[opposed])
 
 
 def hint_at_scene(

@@ -90,7 +90,6 @@ class Facets:
             see search/self_contact.py; (n, 0) on other surfaces.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
-        plane: whether each facet of the whole surface lies in a plane of its own.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
     """
 
@@ -105,7 +104,6 @@ class Facets:
     origins: Array
     tag_index: Indices
     bent: bool
-    plane: bool
     axisymmetric: bool = False
 
     @property
@@ -142,30 +140,27 @@ class Facets:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
+    def selected(self, index: Indices) -> Facets:
+        """Return some of the facets."""
+        return replace(self, **{name: getattr(self, name)[index] for name in FACET_ARRAYS})
+
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with their nodes at other points (n, k, 3); `offsets` turn with them.
 
-        `bent` and `plane` of the result describe the facets of this rank only; see `checked` in
+        `bent` of the result describes the facets of this rank only; see `checked` in
         pairing/search/tagged.py.
         """
         moved = replace(self, points=points)
         if self.offsets.shape[1]:
             local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
             moved = replace(moved, offsets=np.einsum("nqd,ndi->nqi", local, moved.frames()))
-        if self.degree == 1 and self.cell != "quadrilateral":
-            return moved  # always straight and plane
         corners = points[:, : self.corners]
         hats = self.hats(lagrange_points(self.cell, self.degree))
         straight = np.einsum("kc,nci->nki", hats, corners)
         size = np.ptp(corners, axis=1).max(axis=1)
         rounding = MESH_ROUNDING + rounding_of(corners)
         bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
-        plane = not bent
-        if plane and self.cell == "quadrilateral":
-            sides = corners[:, 1:] - corners[:, :1]
-            volume = np.einsum("ni,ni->n", cross(sides[:, 0], sides[:, 1]), sides[:, 2])
-            plane = bool((np.abs(volume) <= rounding * size**3).all())
-        return replace(moved, bent=bent, plane=plane)
+        return replace(moved, bent=bent)
 
     def frames(self) -> Array:
         """Return right-handed orthonormal axes (n, 3, 3) in rows: a side, across it, the normal."""
@@ -216,8 +211,7 @@ def joined(groups: Sequence[Facets]) -> Facets:
     }
     counts = [len(group.points) for group in groups]
     arrays["tag_index"] = np.repeat(np.arange(len(groups)), counts)
-    bent, plane = any(group.bent for group in groups), all(group.plane for group in groups)
-    return replace(groups[0], bent=bent, plane=plane, **arrays)
+    return replace(groups[0], bent=any(group.bent for group in groups), **arrays)
 
 
 def rounding_of(points: Array) -> Array:

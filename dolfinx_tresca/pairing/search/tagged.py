@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+import basix
 import dolfinx
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
@@ -79,21 +80,16 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
     dofmap = V.dofmap
     to_cell = mesh.topology.connectivity(dim, dim + 1)
     cells = to_cell.array[to_cell.offsets[facets]]
-    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
-    cell = {"triangle": "interval", "quadrilateral": "interval", "tetrahedron": "triangle",
-            "hexahedron": "quadrilateral"}[kind]  # fmt: skip
-    sides = entities_per_cell(V, dim)
+    kinds = basix.cell.subentity_types(V.element.basix_element.cell_type)[dim]
+    cell, sides = kinds[0].name, len(kinds)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
-    place = (of_cell[cells] == facets[:, None]).argmax(axis=1) if len(facets) else facets
-    closures = np.array(
-        [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)], dtype=np.int64
-    )
-    closure = closures[place]
-    corners = {"interval": 2, "triangle": 3, "quadrilateral": 4}[cell]
+    place = (of_cell[cells] == facets[:, None]).argmax(axis=1)
+    closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)]
+    corners = len(lagrange_points(cell, 1))
 
     x = V.tabulate_dof_coordinates()
     cell_nodes = dofmap.list[cells]
-    nodes = np.take_along_axis(cell_nodes, closure, axis=1)
+    nodes = np.take_along_axis(cell_nodes, np.array(closures)[place], axis=1)
     points = x[nodes]
     middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
     free = with_owned_values(V, (~prescribed).astype(np.float64)).x.array
@@ -111,7 +107,6 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
         origins=np.zeros((len(facets), 0)),
         tag_index=np.zeros(len(facets), dtype=np.intp),
         bent=False,
-        plane=True,
     ).moved_to(points)
     ahead = points[:, :corners].mean(axis=1) - middle
     vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
@@ -120,16 +115,15 @@ def tagged_facets(V: Any, prescribed: Mask, facet_tags: Any, tag: int, side: str
 
 
 def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:
-    """Check the areas of facets; return the facets with `bent` and `plane` set for all ranks.
+    """Check the areas of facets; return the facets with `bent` set for all ranks.
 
-    Before the call these two may describe the facets of this rank only. Collective.
+    Before the call it may describe the facets of this rank only. Collective.
 
     Raises:
         PairingError: a facet has no area.
     """
     size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    of_rank = [float(size.max(initial=0.0)), float(facets.bent), float(not facets.plane)]
-    largest, bent, uneven = reduce_array(comm, of_rank, MPI.MAX)
+    largest, bent = reduce_array(comm, [size.max(initial=0.0), float(facets.bent)], MPI.MAX)
     points, weights = quadrature(facets.cell, 2 * facets.degree)
     area = np.linalg.norm(facets.area_vectors(points), axis=2) @ weights
     # in 2D the area of a facet is its size, so it is compared with the largest facet
@@ -142,7 +136,7 @@ def checked(comm: MPI.Comm, facets: Facets, surface: str, side: str) -> Facets:
             f"{number} of the {total} facets of {surface} ({side} side) have no area; "
             f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."
         )
-    return replace(facets, bent=bool(bent), plane=not uneven)
+    return replace(facets, bent=bool(bent))
 
 
 def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:

@@ -2,42 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
-from dolfinx_tresca.pairing.search.balls import AT_ONCE, Pieces, expanded_ranges, flattened
 from dolfinx_tresca.pairing.search.facets import (
     CREDIBLE_PART,
     MISMATCH,
     NEGLIGIBLE,
     SHALLOW_DEPTH,
 )
-
-
-class Occluders(NamedTuple):
-    """Facets of one side that may cross segments from secondary pieces to primary points.
-
-    There is a row for each pair of an occluder and a piece whose projections onto the plane of the
-    piece overlap.
-
-    Attributes:
-        piece: (n,) index of the occluder among the pieces of its side.
-        target: (n,) index of the secondary piece in the list that was asked for, ascending.
-        corners: (n, corners, d) corners of the occluder, projected onto the plane [length].
-        height: (n,) height of the centre of the occluder over the plane [length].
-        slope: (n, d) gradient of the height of the occluder over the plane.
-        outward: (n,) whether the normals of both are on the same side of the plane.
-    """
-
-    piece: Indices
-    target: Indices
-    corners: Array
-    height: Array
-    slope: Array
-    outward: Mask
+from dolfinx_tresca.pairing.search.pieces import AT_ONCE, Pieces, expanded_ranges, flattened
 
 
 class Visibility:
@@ -77,12 +54,7 @@ class Visibility:
         self._pieces, self._others, self._body = pieces, partners, body
 
     def hidden(
-        self,
-        piece: Indices,
-        places: Array,
-        start: Array,
-        end: Array,
-        partner: Indices | None = None,
+        self, piece: Indices, places: Array, start: Array, end: Array, partner: Indices
     ) -> Mask:
         """Return whether each primary point is hidden from the opposite secondary point, (n,).
 
@@ -92,48 +64,102 @@ class Visibility:
                 of the piece [length].
             start: (n,) height of the secondary side over the plane, along the normal [length].
             end: (n,) height of the primary side over the plane [length].
-            partner: (n,) the primary piece of each point; needed on a surface that touches itself.
+            partner: (n,) the primary piece of each point.
         """
         result, in_one_body = np.zeros((2, len(piece)), dtype=np.bool_)
-        # the piece of the primary point, if it may be on `own`
-        end_piece: Indices = np.full(len(piece), -1)
-        if self._body is not None and partner is not None:
-            in_one_body, end_piece = self._body[piece] == self._body[partner], partner
-        apart = np.flatnonzero(np.abs(end - start) > NEGLIGIBLE * self._pieces.radii[piece])
+        if self._body is not None:
+            in_one_body = self._body[piece] == self._body[partner]
+        touch, length = NEGLIGIBLE * self._pieces.radii[piece], np.abs(end - start)
+        apart = np.flatnonzero(length > touch)
         if len(apart) == 0:
             return result
-        targets, starts, target = np.unique(piece[apart], return_index=True, return_inverse=True)
-        reach = np.maximum.reduceat(np.maximum(np.abs(start), np.abs(end))[apart], starts)
+        reach = np.maximum(np.abs(start), np.abs(end))[apart]
         for own in (True, False):
-            occluders = self._occluders(own, targets, reach)
-            begin = np.searchsorted(occluders.target, target)
-            numbers = np.searchsorted(occluders.target, target, side="right") - begin
-            block = np.cumsum(numbers) // (50 * AT_ONCE)
-            for chunk in np.split(np.arange(len(apart)), np.flatnonzero(np.diff(block)) + 1):
-                # all pairs of a point and a possible occluder
-                owner, occluder = expanded_ranges(begin[chunk], numbers[chunk])
-                place = apart[chunk[owner]]
-                if own:  # the end of a segment is on its piece, or near it if the facet is curved
-                    passed = occluders.piece[occluder] != end_piece[place]
-                    occluder, place = occluder[passed], place[passed]
-                around = occluders.corners[occluder] - places[place][:, None]
-                crosses = _around_origin(around)
-                occluder, place, middle = occluder[crosses], place[crosses], around[crosses]
-                middle = middle.mean(axis=1)
-                crossing = occluders.height[occluder]
-                crossing = crossing - np.einsum("nd,nd->n", occluders.slope[occluder], middle)
-                outward = occluders.outward[occluder]
-                gap = end[place] > start[place]
+            for crossing, facet, height, outward in self._crossings(
+                own, piece[apart], places[apart], reach
+            ):
+                point = apart[crossing]
+                gap = end[point] > start[point]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
                 matters = leaves | gap if own else leaves == gap
-                distance = (crossing - start[place]) * np.where(gap, 1.0, -1.0)
-                touch = NEGLIGIBLE * self._pieces.radii[piece[place]]
-                place_on_line = np.where(leaves, distance - touch, distance + touch)
-                length = np.abs(end - start)[place]
-                between = (place_on_line > 0.0) & (place_on_line <= length)
-                result[place[matters & between]] = True
+                if own:  # the end of a segment is on its piece, or near it if the facet is curved
+                    matters &= ~in_one_body[point] | (facet != partner[point])
+                distance = (height - start[point]) * np.where(gap, 1.0, -1.0)
+                distance += np.where(leaves, -touch[point], touch[point])
+                between = (distance > 0.0) & (distance <= length[point])
+                result[point[matters & between]] = True
         apart = apart[~in_one_body[apart]]
         result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
+        return result
+
+    def _crossings(
+        self, own: bool, piece: Indices, places: Array, reach: Array
+    ) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
+        """Yield where normals of secondary pieces cross facets of one side, in blocks.
+
+        Facets that hide nothing, and in general those beyond reach, are left out (`_may_hide`).
+
+        Args:
+            own: whether the facets are on the secondary side.
+            piece: (n,) the secondary piece of each normal, ascending.
+            places: (n, d) where the normal meets the plane of the piece, see `hidden`.
+            reach: (n,) largest distance from the plane at which a crossing matters [length].
+
+        Yields:
+            The normals (m,) that cross a facet, as indices of `piece`; the facets (m,) among the
+            pieces of their side; the heights (m,) of the crossings over the planes [length]; and
+            whether the normal of the facet is on the same side of the plane as the piece's (m,).
+        """
+        pieces, side = self._pieces, self._pieces if own else self._others
+        targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
+        line, facet = side.on_normals(
+            pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
+            np.maximum.reduceat(reach, starts) + pieces.radii[targets],
+        )  # fmt: skip
+        keep = self._may_hide(own, targets[line], facet)
+        line, facet = line[keep], facet[keep]
+        corners = pieces.local_coordinates(targets[line], side.points[facet])
+        normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
+        # all pairs of a facet and a point of the piece in front of it
+        pairs = np.cumsum(counts[line])
+        blocks = np.flatnonzero(np.diff(pairs // (50 * AT_ONCE))) + 1
+        for block in np.split(np.arange(len(line)), blocks):
+            row, point = expanded_ranges(starts[line[block]], counts[line[block]])
+            row = block[row]
+            around = corners[row, :, :-1] - places[point][:, None]
+            crosses = _around_origin(around)
+            row, point, middle = row[crosses], point[crosses], around[crosses].mean(axis=1)
+            slope = np.einsum("nd,nd->n", normals[row, :-1], middle) / normals[row, -1]
+            height = corners[row, :, -1].mean(axis=1) + slope
+            yield point, facet[row], height, normals[row, -1] > 0.0
+
+    def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
+        """Return whether facets (n,) of one side, near the normal of a piece, may hide its points.
+
+        Segments end at primary facets whose normals are opposed, so these hide nothing. Of the
+        secondary side the piece itself, and facets in its plane, hide nothing; nor do facets with a
+        common node and a similar normal, which a segment crosses at its own start.
+
+        Args:
+            own: whether the facets are on the secondary side.
+            piece: (n,) the secondary piece.
+            facet: (n,) the facet among the pieces of its side.
+        """
+        pieces, side = self._pieces, self._pieces if own else self._others
+        normal, their_normal = pieces.normals[piece], side.normals[facet]
+        cosine = np.einsum("ni,ni->n", normal, their_normal)
+        result: Mask = cosine > NEGLIGIBLE
+        if own:
+            offset = side.centres[facet] - pieces.centres[piece]
+            height = np.abs(np.einsum("ni,ni->n", offset, normal))
+            height += side.radii[facet] * np.linalg.norm(normal - their_normal, axis=1)
+            result &= height > NEGLIGIBLE * pieces.radii[piece]
+            similar = np.flatnonzero(result)
+            nodes = pieces.nodes[piece[similar]], side.nodes[facet[similar]]
+            result[similar] = ~(nodes[0][:, :, None] == nodes[1][:, None]).any(axis=(1, 2))
+            result |= cosine < -NEGLIGIBLE
+        if self._body is not None:
+            result &= (self._body[facet] == self._body[piece]) == own
         return result
 
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
@@ -151,79 +177,11 @@ class Visibility:
         points = self._pieces.centres[piece[deep]]
         points = points + np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
         limit = CREDIBLE_PART * (start - end)[deep]
-        near = cKDTree(self._others.centres).query_ball_point(
-            points, limit + self._others.radii.max()
-        )
-        point, partner = flattened(near)
+        point, partner = self._others.near(points, limit)
         if self._body is not None:
             elsewhere = self._body[partner] != self._body[piece[deep]][point]
             point, partner = point[elsewhere], partner[elsewhere]
-        within = self._others.distances(partner, points[point]) < limit[point]
-        result[deep[point[within]]] = True
-        return result
-
-    def _occluders(self, own: bool, targets: Indices, reach: Array) -> Occluders:
-        """Return the facets of one side that may cross segments from pieces to primary points.
-
-        Args:
-            own: whether the occluders are on the secondary side.
-            targets: (m,) secondary pieces, along whose normals the segments run.
-            reach: (m,) largest distance of the segments' ends from the plane of each piece
-                [length].
-        """
-        pieces, side = self._pieces, self._pieces if own else self._others
-        target, occluder = side.balls.on_normals(
-            pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
-            reach + pieces.radii[targets],
-        )  # fmt: skip
-        keep = self._may_hide(own, targets[target], occluder)
-        target, occluder = target[keep], occluder[keep]
-        # whose projection onto the plane of the piece overlaps the piece
-        piece = targets[target]
-        corners = pieces.local_coordinates(piece, side.points[occluder])
-        flat = corners[:, :, :-1]
-        own_flat = pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1]
-        low = np.maximum(flat.min(axis=1), own_flat.min(axis=1))
-        high = np.minimum(flat.max(axis=1), own_flat.max(axis=1))
-        keep = (high - low > MISMATCH * np.ptp(own_flat, axis=1)).all(axis=1)
-        target, occluder, piece, corners = target[keep], occluder[keep], piece[keep], corners[keep]
-        normals = np.einsum("ni,ndi->nd", side.normals[occluder], pieces.frames[piece])
-        return Occluders(
-            occluder,
-            target,
-            corners[:, :, :-1],
-            corners[:, :, -1].mean(axis=1),
-            -normals[:, :-1] / normals[:, -1:],
-            normals[:, -1] > 0.0,
-        )
-
-    def _may_hide(self, own: bool, piece: Indices, occluder: Indices) -> Mask:
-        """Return whether facets (n,) of one side, near the normal of a piece, may hide its points.
-
-        Segments end at primary facets whose normals are opposed, so these hide nothing. Of the
-        secondary side the piece itself, and facets in its plane, hide nothing; nor do facets with a
-        common node and a similar normal, which a segment crosses at its own start.
-
-        Args:
-            own: whether the occluders are on the secondary side.
-            piece: (n,) the secondary piece.
-            occluder: (n,) the facet among the pieces of its side.
-        """
-        pieces, side = self._pieces, self._pieces if own else self._others
-        normal, their_normal = pieces.normals[piece], side.normals[occluder]
-        cosine = np.einsum("ni,ni->n", normal, their_normal)
-        result: Mask = cosine > NEGLIGIBLE
-        if own:
-            offset = side.centres[occluder] - pieces.centres[piece]
-            height = np.abs(np.einsum("ni,ni->n", offset, normal))
-            height += side.radii[occluder] * np.linalg.norm(normal - their_normal, axis=1)
-            result &= height > NEGLIGIBLE * pieces.radii[piece]
-            similar = np.flatnonzero(result)
-            nodes = pieces.nodes[piece[similar]], side.nodes[occluder[similar]]
-            result[similar] = ~(nodes[0][:, :, None] == nodes[1][:, None]).any(axis=(1, 2))
-            result |= cosine < -NEGLIGIBLE
-        if self._body is not None:
-            result &= (self._body[occluder] == self._body[piece]) == own
+        result[deep[point]] = True
         return result
 
 
@@ -261,57 +219,43 @@ def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Arr
         pair = np.flatnonzero(size > 0.0)
         return np.stack([low, high], axis=1)[pair], size[pair], pair
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
-    windows = own[near]
-    sides = windows - windows[:, :1]
-    clockwise = _cross(sides[:, 1:-1], sides[:, 2:]).sum(axis=1) < 0.0
+    windows, polygons = own[near], partners[near]
+    clockwise = _cross(windows, np.roll(windows, -1, axis=1)).sum(axis=1) < 0.0
     windows[clockwise] = windows[clockwise, ::-1]
-    polygons = clip(partners[near], windows)
-    fans, areas = _triangle_fan(polygons[:, 0], polygons[:, 1:-1], polygons[:, 2:])
+    sides = np.roll(windows, -1, axis=1) - windows
+    for corner in range(windows.shape[1]):
+        polygons = _clipped(polygons, windows[:, corner], sides[:, corner])
+    fans, areas = _triangle_fans(polygons[:, 0], polygons)
     if centred:
-        total = areas.sum(axis=1)
+        total = areas.sum(axis=1)[:, None]
         moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
         # the centroid of a polygon without area is undefined: take its first corner
-        centroid = np.where(total[:, None] > 0.0, moment, polygons[:, 0])
-        centroid = centroid / np.where(total > 0.0, total, 1.0)[:, None]
-        fans, areas = _triangle_fan(centroid, polygons, np.roll(polygons, -1, axis=1))
+        centroid = np.divide(moment, total, out=polygons[:, 0].copy(), where=total > 0.0)
+        fans, areas = _triangle_fans(centroid, polygons)
     pair, place = np.nonzero(areas > 0.0)
     return fans[pair, place], areas[pair, place], near[pair]
 
 
-def _triangle_fan(tip: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return triangles (n, t, 3, 2) between `tip` (n, 2) and sides, and their areas (n, t).
-
-    The sides lead from `start` to `end`, (n, t, 2).
-    """
-    fans = np.stack([np.broadcast_to(tip[:, None], start.shape), start, end], axis=2)
-    areas = 0.5 * np.abs(_cross(start - tip[:, None], end - tip[:, None]))
-    return fans, areas
-
-
-def clip(polygons: Array, windows: Array) -> Array:
-    """Clip convex polygons by convex windows (Sutherland and Hodgman 1974).
+def _triangle_fans(tip: Array, polygons: Array) -> tuple[Array, Array]:
+    """Return triangles (n, c, 3, 2) between `tip` (n, 2) and sides of polygons, with areas (n, c).
 
     Args:
-        polygons: (n, a, 2) corners of the polygons.
-        windows: (n, b, 2) corners of the windows, counter-clockwise.
-
-    Returns:
-        Polygons (n, c, 2), where c is the largest number of corners. Polygons with fewer corners
-        repeat their last corner; all corners of an empty polygon are equal.
+        tip: the corner that all triangles of a polygon have in common.
+        polygons: (n, c, 2) corners of the polygons.
     """
-    for corner in range(windows.shape[1]):
-        start = windows[:, corner]
-        along = windows[:, (corner + 1) % windows.shape[1]] - start
-        polygons = _clip_by_line(polygons, start, along)
-    return polygons
+    following = np.roll(polygons, -1, axis=1)
+    fans = np.stack([np.broadcast_to(tip[:, None], polygons.shape), polygons, following], axis=2)
+    return fans, 0.5 * np.abs(_cross(polygons - tip[:, None], following - tip[:, None]))
 
 
-def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
-    """Return the part (n, c, 2) of each polygon on the left of its line.
+def _clipped(polygons: Array, start: Array, along: Array) -> Array:
+    """Return the part (n, c, 2) of each convex polygon on the left of its line.
 
-    The line of each polygon goes through a point `start` (n, 2) in the direction `along` (n, 2). A
-    convex polygon gains at most one corner. If corners coincide up to rounding, a polygon may cross
-    its line more than twice; all crossings are kept.
+    The line of each polygon goes through a point `start` (n, 2) in the direction `along` (n, 2).
+    The result has the largest number c of corners (Sutherland and Hodgman 1974): polygons with
+    fewer corners repeat their last corner, and all corners of an empty polygon are equal. If
+    corners coincide up to rounding, a polygon may cross its line more than twice; all crossings are
+    kept.
     """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -323,15 +267,11 @@ def _clip_by_line(polygons: Array, start: Array, along: Array) -> Array:
     crossing = polygons + share[:, :, None] * (following - polygons)
     # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
     points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
-    kept = np.stack([inside, crosses], axis=2).reshape(n, 2 * a)
-    place = np.cumsum(kept, axis=1)
-    number = place[:, -1]
-    row, column = np.nonzero(kept)
-    count = max(int(number.max(initial=1)), 1)
-    result = np.zeros((n, count, 2))
-    result[row, place[row, column] - 1] = points[row, column]
-    slot = np.minimum(np.arange(count), np.maximum(number - 1, 0)[:, None])
-    return np.take_along_axis(result, slot[:, :, None], axis=1)
+    dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * a)
+    number = 2 * a - dropped.sum(axis=1, keepdims=True)
+    place = np.minimum(np.arange(number.max(initial=1)), np.maximum(number - 1, 0))
+    candidate = np.take_along_axis(np.argsort(dropped, axis=1, kind="stable"), place, axis=1)
+    return np.take_along_axis(points, candidate[:, :, None], axis=1)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -24,7 +24,6 @@ from dolfinx_tresca.pairing.search.facets import (
     CREDIBLE_PART,
     FACET_ARRAYS,
     FACING_COSINE,
-    SHALLOW_DEPTH,
     Facets,
     frames_along,
     nodes_round,
@@ -33,6 +32,10 @@ from dolfinx_tresca.pairing.search.facets import (
 #: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
 #: times as many, and of points and what may hide them 50 times as many.
 AT_ONCE = 2048
+
+#: Component of a direction in place of smaller ones and of zero: lines meet planes to which they
+#: are parallel at a distance that is larger than any mesh.
+PARALLEL = 1e-30
 
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
@@ -86,13 +89,11 @@ def line_intervals(
         The parameters (n,) at which the lines enter the box, and the parameters (n,) at which they
         leave it [length]. If a line misses the box, its first parameter is the greater one.
     """
-    low, high = box[0] - reach[:, None] - origins, box[1] + reach[:, None] - origins
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at_low, at_high = low / directions, high / directions
-    flat, inside = directions == 0.0, (low <= 0.0) & (high >= 0.0)
-    enter = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(at_low, at_high))
-    leave = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(at_low, at_high))
-    return enter.max(axis=1), leave.min(axis=1)
+    # a line that is parallel to a side of the box meets its plane far away
+    slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
+    at_low = (box[0] - reach[:, None] - origins) / slopes
+    at_high = (box[1] + reach[:, None] - origins) / slopes
+    return np.minimum(at_low, at_high).max(axis=1), np.maximum(at_low, at_high).min(axis=1)
 
 
 @dataclass(frozen=True)
@@ -161,9 +162,63 @@ class Pieces:
         return axes[:, [0, 2]] if self.points.shape[1] == 2 else axes
 
     @cached_property
-    def balls(self) -> Balls:
-        """The balls that enclose the pieces, for the search along normals."""
-        return Balls(self.centres, self.radii)
+    def _trees(self) -> list[tuple[Indices, Any]]:
+        """The pieces with radii between two powers of two, and a tree of their centres, for each.
+
+        So large pieces do not widen the search for small ones.
+        """
+        _, exponent = np.frexp(self.radii)
+        classes = [np.flatnonzero(exponent == size) for size in np.unique(exponent)]
+        return [(members, cKDTree(self.centres[members])) for members in classes]
+
+    def on_normals(
+        self, centres: Array, normals: Array, radii: Array, limit: Array
+    ) -> tuple[Indices, Indices]:
+        """Find the pieces that given balls may meet if they move along their normals.
+
+        The balls that enclose the pieces are met. The search advances along a line as far as the
+        distance to the nearest of them allows. The work is proportional to the number of moving
+        balls times the logarithm of this distance.
+
+        Args:
+            centres: (n, 3) centres of the moving balls [length].
+            normals: (n, 3) unit normals of the moving balls.
+            radii: (n,) radii of the moving balls [length].
+            limit: (n,) search distance in both directions [length]; pieces slightly beyond it may
+                be found, too.
+
+        Returns:
+            The pairs as indices (m,) of the moving balls, ascending, and indices (m,) of the pieces
+            that they meet.
+        """
+        pairs = [np.zeros(0, dtype=np.int64)]
+        for members, tree in self._trees:
+            reach = radii + self.radii[members].max()
+            box = np.stack([tree.mins, tree.maxes])
+            start, end = line_intervals(box, centres, normals, reach)
+            start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
+            # A ball of radius sqrt(2) r around a point of the line contains the part from -r to r
+            # of the cylinder of radius r around the line. If the centre nearest to the point has
+            # the distance d, the cylinder is empty from -sqrt(d^2 - r^2) to sqrt(d^2 - r^2).
+            place = start + reach
+            lines = np.flatnonzero(start <= end)
+            while len(lines):
+                x = centres[lines] + place[lines, None] * normals[lines]
+                r = reach[lines]
+                clear = np.sqrt(np.maximum(tree.query(x)[0] ** 2 - r**2, 0.0))
+                near = clear <= r
+                lists = tree.query_ball_point(x[near], np.sqrt(2.0) * r[near] * (1.0 + 1e-9))
+                line, member = flattened(lists)
+                pairs.append(lines[near][line] * len(self.centres) + members[member])
+                covered = place[lines] + np.where(near, r, clear)
+                place[lines] = covered + r
+                lines = lines[covered < end[lines]]
+        moving, met = np.divmod(np.unique(np.concatenate(pairs)), max(len(self.centres), 1))
+        offset = self.centres[met] - centres[moving]
+        along = np.einsum("ni,ni->n", offset, normals[moving])
+        across = np.linalg.norm(offset - along[:, None] * normals[moving], axis=1)
+        meet = across <= (radii[moving] + self.radii[met]) * (1.0 + 1e-9)
+        return moving[meet], met[meet]
 
     def local_coordinates(self, piece: Indices, points: Array) -> Array:
         """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
@@ -172,6 +227,16 @@ class Pieces:
         """
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
+
+    def near(self, points: Array, reach: Array) -> tuple[Indices, Indices]:
+        """Return the pairs of points (n, 3) and pieces that are nearer than reach (n,) [length].
+
+        The pairs are indices (m,) of the points, ascending, and of the pieces (m,).
+        """
+        within = reach + self.radii.max(initial=0.0)
+        point, piece = flattened(cKDTree(self.centres).query_ball_point(points, within))
+        is_near = self.distances(piece, points[point]) < reach[point]
+        return point[is_near], piece[is_near]
 
     def distances(self, chosen: Indices, points: Array) -> Array:
         """Return the distance (n,) of points (n, 3), each from a piece `chosen` (n,) [length]."""
@@ -188,72 +253,6 @@ class Pieces:
             height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
             result = np.where(projects_inside, height, result)
         return np.asarray(result)
-
-
-class Balls:
-    """A set of balls with a fast search for the balls that lie along normals."""
-
-    def __init__(self, centres: Array, radii: Array) -> None:
-        """Build trees for the search `on_normals`.
-
-        Args:
-            centres: (m, 3) centres of the balls [length].
-            radii: (m,) radii of the balls [length].
-        """
-        self._centres, self._radii = centres, radii
-        # one tree for each power of two of the radius: large balls do not widen the search for
-        # small ones
-        _, exponent = np.frexp(radii)
-        classes = [np.flatnonzero(exponent == size) for size in np.unique(exponent)]
-        self._classes = [(members, cKDTree(centres[members])) for members in classes]
-
-    def on_normals(
-        self, centres: Array, normals: Array, radii: Array, limit: Array | float
-    ) -> tuple[Indices, Indices]:
-        """Find all balls of the set that given balls would meet if they moved along their normals.
-
-        The search advances along a line as far as the distance to the nearest ball allows. The
-        work is proportional to the number of balls times the logarithm of their distance.
-
-        Args:
-            centres: (n, 3) centres of the moving balls [length].
-            normals: (n, 3) unit normals of the moving balls.
-            radii: (n,) radii of the moving balls [length].
-            limit: search distance in both directions [length]; balls slightly beyond it may be
-                found, too. A number, or an array (n,).
-
-        Returns:
-            The pairs as indices (m,) of the moving balls, ascending, and indices (m,) of the balls
-            that they meet.
-        """
-        pairs = [np.zeros(0, dtype=np.int64)]
-        for members, tree in self._classes:
-            reach = radii + self._radii[members].max()
-            box = np.stack([tree.mins, tree.maxes])
-            start, end = line_intervals(box, centres, normals, reach)
-            start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
-            # A ball of radius sqrt(2) r around a point of the line contains the part from -r to r
-            # of the cylinder of radius r around the line. If the centre nearest to the point has
-            # the distance d, the cylinder is empty from -sqrt(d^2 - r^2) to sqrt(d^2 - r^2).
-            place = start + reach
-            lines = np.flatnonzero(start <= end)
-            while len(lines):
-                x = centres[lines] + place[lines, None] * normals[lines]
-                r = reach[lines]
-                clear = np.sqrt(np.maximum(tree.query(x)[0] ** 2 - r**2, 0.0))
-                near = clear <= r
-                lists = tree.query_ball_point(x[near], np.sqrt(2.0) * r[near] * (1.0 + 1e-9))
-                line, ball = flattened(lists)
-                pairs.append(lines[near][line] * len(self._centres) + members[ball])
-                covered = place[lines] + np.where(near, r, clear)
-                place[lines] = covered + r
-                lines = lines[covered < end[lines]]
-        moving, met = np.divmod(np.unique(np.concatenate(pairs)), max(len(self._centres), 1))
-        offset = self._centres[met] - centres[moving]
-        along = np.einsum("ni,ni->n", offset, normals[moving])
-        across = np.linalg.norm(offset - along[:, None] * normals[moving], axis=1)
-        meet = across <= (radii[moving] + self._radii[met]) * (1.0 + 1e-9)
-        return moving[meet], met[meet]
 
 
 #: Distance from a piece, relative to the radius of the largest piece, within which the second ring
@@ -280,8 +279,7 @@ def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
     ranks = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
     facet = np.repeat(np.arange(len(ranks)), owned.corners)
     result = _sent(V.mesh.comm, owned, facet, ranks.ravel())
-    mine = at_own_nodes(V, result)
-    return replace(result, **{name: getattr(result, name)[mine] for name in FACET_ARRAYS})
+    return result.selected(at_own_nodes(V, result))
 
 
 def near_lines(
@@ -321,7 +319,7 @@ def near_lines(
     lines, source = exchange(comm, lines, ranks)
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
     for block in blocks(len(lines)):
-        line, piece = pieces.balls.on_normals(
+        line, piece = pieces.on_normals(
             lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
         )
         facet = pieces.facet[piece]
@@ -383,20 +381,18 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     partners = Pieces.from_facets(across)
     depth: Array = np.zeros(len(far))
     for block in blocks(len(far)):
-        own, partner = partners.balls.on_normals(
+        own, partner = partners.on_normals(
             mine.centres[block], mine.normals[block], mine.radii[block], far[block]
         )
         own += block.start
         cosine = np.einsum("ni,ni->n", mine.normals[own], partners.normals[partner])
         own, partner = own[cosine < -FACING_COSINE], partner[cosine < -FACING_COSINE]
-        corners = partners.points[partner] - mine.centres[own][:, None]
-        heights = np.einsum("nci,ni->nc", corners, mine.normals[own]).min(axis=1)
+        offsets = partners.centres[partner] - mine.centres[own]
+        heights = np.einsum("ni,ni->n", offsets, mine.normals[own]) - partners.radii[partner]
         np.maximum.at(depth, own, -heights)
-    flat = secondary.plane and primary.plane
-    depth = np.minimum(depth + (0.0 if flat else mine.radii), far)
-    deep = depth > 0.5 * SHALLOW_DEPTH * mine.radii
-    if comm.allreduce(int(deep.sum())):
-        near = np.maximum(reach, 2.0 * mine.radii + CREDIBLE_PART * depth)
+    near = 2.0 * mine.radii + CREDIBLE_PART * np.minimum(depth + mine.radii, far)
+    deep = near > reach
+    if comm.allreduce(deep.any(), MPI.LOR):
         points = mine.centres[deep], mine.normals[deep], near[deep], np.zeros(deep.sum())
         both = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
         across = near_lines(comm, primary, *both)
