@@ -95,8 +95,6 @@ class ContactSurfaces(PetscOwner):
             self.secondary = Surface.of_pairs(fem.Function(V), pairs)
             self.friction = SlipBounds(V)
             self.nodal_values = self.friction.values
-            for pair, on_nodes in zip(pairs, operators, strict=True):
-                self.friction.check(pair.friction, on_nodes.nodes)
         self.jump = JumpOperator(linear, operators)
         with destroyed_on_error(self.jump):
             self.update_gaps()
@@ -109,7 +107,7 @@ class ContactSurfaces(PetscOwner):
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
                 for pair, on_nodes in zip(pairs, operators, strict=True):
-                    self.friction.check_numbers(pair.friction, on_nodes.nodes, rounding)
+                    self.friction.check(pair.friction, on_nodes.nodes, rounding)
         self.frames_at_rest = self._frames_at_rest()
 
     def _frames_at_rest(self) -> BodyFrames | None:
@@ -134,7 +132,7 @@ class ContactSurfaces(PetscOwner):
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
-        for owner in (self.nodal_values, self.compliance, self.jump):
+        for owner in (self.compliance, self.jump):
             owner.destroy()
 
     @property

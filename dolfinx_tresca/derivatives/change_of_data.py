@@ -90,10 +90,10 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
         "limit": np.where(is_limited, by_constant, 0.0),
     }
     result: list[NodalField] = []
-    end = 0
-    for pair, operators, (normal, _) in zip(pairs, jump.pairs, jump.slices, strict=True):
+    for pair, operators, discs, (normal, _) in zip(
+        pairs, jump.pairs, jump.nodes, jump.slices, strict=True
+    ):
         n, rows = len(operators.nodes), np.arange(normal.start, normal.stop)
-        discs, end = slice(end, end + n), end + n
         entries = 1.0 / jump.length_scale[normal], (rows, operators.normal_node)
         by_gap, name = csr_array(entries, shape=(size, n)), f"the gap of contact pair {pair}"
         of_pair = partial(NodalField, nodes=operators.nodes, discs=discs)

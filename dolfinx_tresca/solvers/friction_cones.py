@@ -119,6 +119,8 @@ class FrictionCones(FeasibleSet):
             zeros.
     """
 
+    has_given_bounds = False
+
     normal_of: Indices
     coefficient: Array
     limit: Array
