@@ -103,6 +103,7 @@ class JumpOperator(PetscOwner):
         for pair, (n, t) in zip(pairs, self.slices, strict=True):
             is_tangential[t] = True
             is_bonded[n.start : t.stop] = pair.bonded
+        self._is_tangential = is_tangential
         tangential, count = np.flatnonzero(is_tangential), len(self._roots)
         semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
         self._ellipses = FrictionDiscs.of_ellipses(self.row_nodes[tangential], semi_axes, count)
@@ -142,18 +143,16 @@ class JumpOperator(PetscOwner):
         result = []
         for k, pair in enumerate(self.pairs):
             numbers = pair.undeformed.group.numbers
-            member = numbers.index(k)
-            operators, nodes, normal, tangential = [], [], [], []
+            operators, acts = [], np.zeros(len(self._roots), dtype=np.bool_)
             for j in numbers:
-                paired, (n, t) = self.pairs[j], self.slices[j]
-                share = paired.shares[:, member]
-                keep = share > 0.0
-                operators.append(dataclasses.replace(paired.at_nodes(keep), weights=share[keep]))
-                nodes.append(self.nodes[j].start + np.flatnonzero(keep))
-                normal.append(n.start + np.flatnonzero(keep[paired.normal_node]))
-                tangential.append(t.start + np.flatnonzero(keep[paired.tangent_node]))
-            rows = (np.concatenate(arrays) for arrays in (nodes, normal, tangential))
-            result.append(RowsOfPair(joined(operators), *rows))
+                share = self.pairs[j].shares[:, numbers.index(k)]
+                keep = acts[self.nodes[j]] = share > 0.0
+                at_nodes = self.pairs[j].at_nodes(keep)
+                operators.append(dataclasses.replace(at_nodes, weights=share[keep]))
+            nodes, rows = np.flatnonzero(acts), acts[self.row_nodes]
+            normal, tangential = rows & ~self._is_tangential, rows & self._is_tangential
+            positions = nodes, np.flatnonzero(normal), np.flatnonzero(tangential)
+            result.append(RowsOfPair(joined(operators), *positions))
         return result
 
     def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
