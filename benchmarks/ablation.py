@@ -332,7 +332,7 @@ def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> Any:
 
 append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
 make_store = products.ProductStore.__init__
-INEXACT, NEWTON, STORE = iteration.InexactIterate, iteration.ModelNewton, products.ProductStore
+ITERATE, NEWTON, STORE = iteration.Iterate, iteration.ModelNewton, products.ProductStore
 
 #: Name of a part -> the replacements that switch it off.
 PARTS: dict[str, Patches] = {
@@ -352,8 +352,8 @@ PARTS: dict[str, Patches] = {
     "bounds that follow pressures": [
         (FrictionCones, "with_bound_change", FeasibleSet.with_bound_change)
     ],
-    "higher accuracy where it stalls": [(INEXACT, "increase_accuracy", lambda self: None)],
-    "refined gradients": [(INEXACT, "refine", lambda self, accuracy: None)],
+    "higher accuracy where it stalls": [(ITERATE, "increase_accuracy", lambda self: None)],
+    "refined gradients": [(ITERATE, "refine", lambda self, accuracy: None)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
     "start at the last multipliers": [(NEWTON, "begin_at", from_zero)],

@@ -88,7 +88,7 @@ def dual(scene: Any, tolerance: float, solver: str) -> Answer:
             primal_wanted=True,
         )
         u = problem.jump.system.f.x.petsc_vec.duplicate()
-        problem.response.displacement(x, u)
+        problem.response.end_at(x, u)
         u.destroy()
         work = {"iterations": iterations, "products": bounds.size, "factorisations": 1}
         return Answer(x, work, status)

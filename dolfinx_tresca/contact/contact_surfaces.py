@@ -92,8 +92,6 @@ class ContactSurfaces(PetscOwner):
             operators = [operators_of_number[k] for k in range(len(pairs))]
             self.secondary = Surface.of_pairs(fem.Function(V), pairs)
             self.friction = SlipBounds(V)
-            for pair, on_nodes in zip(pairs, operators, strict=True):
-                self.friction.check(pair.friction, on_nodes.nodes)
         self.jump = JumpOperator(linear, operators)
         with destroyed_on_error(self.jump):
             self.update_gaps()
@@ -105,7 +103,7 @@ class ContactSurfaces(PetscOwner):
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
                 for pair, on_nodes in zip(pairs, operators, strict=True):
-                    self.friction.check_numbers(pair.friction, on_nodes.nodes, rounding)
+                    self.friction.check(pair.friction, on_nodes.nodes, rounding)
         self.frames_at_rest = self._frames_at_rest()
 
     def _frames_at_rest(self) -> BodyFrames | None:
@@ -131,7 +129,7 @@ class ContactSurfaces(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._destroyed = True
-        for owner in (self.friction.values, self.compliance, self.jump):
+        for owner in (self.compliance, self.jump):
             owner.destroy()
 
     def check_not_destroyed(self) -> None:

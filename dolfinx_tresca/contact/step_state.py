@@ -242,7 +242,7 @@ class StepState:
         carry = Carry(self.jump, jump)
         kept = carry.residuals(self.jump.of_displacement(u) - self.history.origin)
         accepted, origin = self.accepted.displacement, np.zeros(len(jump.gap))
-        rows = jump.unbounded.tangential
+        rows = jump.discs.tangential
         origin[rows] = (jump.of_displacement(u) - kept)[rows]
         at_start = np.zeros_like(origin) if accepted is None else jump.of_displacement(accepted)
         for pair, is_new, (_, t) in zip(jump.pairs, since_accepted, jump.slices, strict=True):

@@ -83,10 +83,10 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
         "limit": np.where(is_limited, by_constant, 0.0),
     }
     result: list[NodalField] = []
-    discs = np.arange(len(by_constant))
-    for pair, operators, (normal, _) in zip(pairs, jump.pairs, jump.slices, strict=True):
-        node = np.arange(len(operators.nodes))
-        disc, discs = np.split(discs, [len(node)])
+    for pair, operators, discs, (normal, _) in zip(
+        pairs, jump.pairs, jump.nodes, jump.slices, strict=True
+    ):
+        node, disc = np.arange(len(operators.nodes)), np.arange(discs.start, discs.stop)
         rows = np.arange(normal.start, normal.stop)
         by_gap = 1.0 / jump.length_scale[normal], (rows, operators.normal_node)
         fields: list[Any] = [(pair.gap, f"the gap of contact pair {pair}", by_gap)]

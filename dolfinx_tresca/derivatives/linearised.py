@@ -361,7 +361,7 @@ class _FollowedDisplacement:
             the product, the norm sqrt(e'A^-1 e) of its error e, and the change of `values`.
         """
         if self._operator.exact:
-            return *self._operator.product(step), np.zeros(0)
+            return self._operator.apply(step), 0.0, np.zeros(0)
         self._operator.products += 1
         v, before = self._v.copy(), self._error
         self._error = self.improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)

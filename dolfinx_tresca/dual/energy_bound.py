@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator, nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
@@ -37,11 +37,7 @@ class Lift:
         weighted.diagonalScale(R=self._compliance)
         transposed = self._B.copy().transpose()
         local = weighted.matMult(transposed)
-        local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        try:
-            self._solver = cholesky(local, {}, None)
-        except StiffnessError:  # dependent rows
-            self._solver = None
+        self._solver = _factored_unless_singular(local)
 
     def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
         """Keep K and B, and make vectors. Collective."""
@@ -73,6 +69,20 @@ class Lift:
         self._B.multTranspose(self._multipliers, self._w)
         self._w.pointwiseMult(self._compliance, self._w)
         return self._w
+
+
+def _factored_unless_singular(
+    matrix: PETSc.Mat, constraints: int | None = 0
+) -> StiffnessSolver | None:
+    """Return the factors of a symmetric matrix; None if rows are dependent. Collective.
+
+    The arguments are those of `cholesky`.
+    """
+    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    try:
+        return cholesky(matrix, {}, None, constraints)
+    except StiffnessError:
+        return None
 
 
 class SaddleLift(Lift):
@@ -112,13 +122,9 @@ class SaddleLift(Lift):
         nest = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm)
         whole = nest.copy()
         whole.convert(PETSc.Mat.Type.AIJ)
-        whole.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._prepare(K, B)
         self._right, self._solution = whole.createVecs()
-        try:
-            self._solver = cholesky(whole, {}, None, None)
-        except StiffnessError:  # dependent rows
-            self._solver = None
+        self._solver = _factored_unless_singular(whole, None)
         rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
         if self._solver is None and np.isfinite(Lift(jump).energy_norm(rough)):
             raise StiffnessError(
@@ -156,15 +162,15 @@ class EnergyBound:
     for `SaddleLift` would double the cost of the step.
     """
 
-    def __init__(self, jump: JumpOperator, local_stiffness: Array) -> None:
+    def __init__(self, jump: JumpOperator, nodal_stiffness: Array) -> None:
         """Prepare the lifts w. Collective.
 
         Args:
             jump: B, and the system with K.
-            local_stiffness: (size,) 1 / diag(B diag(K)^-1 B'), the stiffness of a node with fixed
-                neighbours.
+            nodal_stiffness: (size,) the stiffness of a node with fixed neighbours, the same for all
+                directions of a friction disc.
         """
-        self._local_stiffness = local_stiffness
+        self._nodal_stiffness = nodal_stiffness
         system = jump.system
         self.comm = system.comm
         self._lift: Lift | None = None
@@ -188,32 +194,11 @@ class EnergyBound:
         """
         if self._lift is None:
             return np.inf
-        opening, gap = self._best_nodes(feasible_set, x, r)
-        total = float(reduce_array(self.comm, gap))
+        # each node gets the jump for which the duality gap is smallest if its neighbours are fixed
+        moved = x - self._nodal_stiffness * r
+        opening = (feasible_set.project(moved) - moved) / self._nodal_stiffness
+        n, t = feasible_set.normal, feasible_set.tangential
+        friction = feasible_set.dissipation(opening) + float(x[t] @ opening[t])
+        total = reduce_array(self.comm, float(x[n] @ opening[n]) + max(friction, 0.0))
         lift = self._lift.energy_norm(r - opening)
-        return float(np.sqrt(2.0 * total + (lift + error) ** 2)) + error
-
-    def _best_nodes(self, feasible_set: FeasibleSet, x: Array, r: Array) -> tuple[Array, float]:
-        """Return d - N v and -T v (size,), and this rank's nodal terms of the duality gap.
-
-        The remaining term of the gap, 1/2 |v - u|_K^2, is added in `energy_bound`. The jumps of v
-        are chosen node by node: each node gets the jump for which the duality gap is smallest if
-        its neighbours are fixed.
-        """
-        local = self._local_stiffness
-        normal, tangential = feasible_set.normal, feasible_set.tangential
-        opening = np.zeros_like(r)  # stays zero at bonded nodes
-        opening[normal] = np.maximum(r[normal] - x[normal] / local[normal], 0.0)
-        # one stiffness for all directions of a friction disc
-        stiffness = feasible_set.disc_means(local)
-        stiffness[stiffness == 0.0] = 1.0  # nodes without tangential rows
-        slip = np.zeros_like(r)
-        slip[tangential] = x[tangential] / stiffness[feasible_set.node] - r[tangential]
-        length = feasible_set.norms(slip)
-        factor = np.maximum(
-            1.0 - feasible_set.radius / (stiffness * np.maximum(length, LEAST_DIVISOR)), 0.0
-        )
-        slip[tangential] *= factor[feasible_set.node]
-        opening[tangential] = -slip[tangential]
-        friction = feasible_set.dissipation(slip) - float(x[tangential] @ slip[tangential])
-        return opening, float(x[normal] @ opening[normal]) + max(friction, 0.0)
+        return float(np.sqrt(2.0 * float(total) + (lift + error) ** 2)) + error

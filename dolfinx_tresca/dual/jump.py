@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import pairwise
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -26,7 +26,7 @@ from dolfinx_tresca.pairing.operators import (
     joined,
 )
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import Curve, FrictionCones, NodalCurves
+from dolfinx_tresca.solvers.friction_cones import FrictionCones, NodalCurves
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -68,15 +68,17 @@ class JumpOperator(PetscOwner):
         pairs: rows, nodes and gaps of each pair.
         frames: the frames of bodies that have turned; None: there are none.
         slices: the positions of each pair's normal and tangential multipliers.
+        nodes: the positions of each pair's nodes among the nodes of all pairs.
+        row_nodes: (size,) the position of each row's node among the nodes of all pairs.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system; with `frames`, B R,
             since the unknowns are displacements in the frames.
         stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
         length_scale: (size,) length per entry of a scaled jump: 1 / sqrt(area), divided by the
             stretch.
         gap: (size,) the initial gaps d, divided by `length_scale`; zero for tangential rows.
-        unbounded: Lambda with infinite slip bounds: all tangential rows of a node share one disc.
-        discs: like `unbounded`, except at nodes with friction along only one of two tangents: the
-            frictionless row has a disc of its own. These discs come after the discs of all nodes.
+        discs: Lambda with infinite slip bounds. The tangential rows of a node share one disc. At
+            nodes with friction along only one of two tangents, the frictionless row has a disc of
+            its own; these discs come after the discs of all nodes.
         reductions: sums over the ranks.
         work: a vector of unknowns, whose values the next call of any method may change.
     """
@@ -88,21 +90,27 @@ class JumpOperator(PetscOwner):
         frames: BodyFrames | None = None,
     ) -> None:
         """Assemble B. Collective."""
-        self.system, self.frames = system, frames
-        self.comm = self.system.comm
-        rows = [(len(pair.normal_node), len(pair.tangent_node)) for pair in pairs]
-        ends = np.cumsum([0, *chain.from_iterable(rows)]).tolist()
-        blocks = [slice(start, end) for start, end in pairwise(ends)]
-        self.slices = list(zip(blocks[::2], blocks[1::2], strict=True))
+        self.system, self.frames, self.comm = system, frames, system.comm
         self.reductions = RankReductions(system.comm)
+        self.nodes = _consecutive([len(pair.nodes) for pair in pairs])
+        rows = _consecutive([len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)])
+        self.slices = list(zip(rows[::2], rows[1::2], strict=True))
+        starts = zip(pairs, self.nodes, strict=True)
+        self.row_nodes = np.concatenate([pair.row_node + nodes.start for pair, nodes in starts])
+        self._roots = np.sqrt(np.concatenate([pair.weights for pair in pairs]))
+        scale: Array = 1.0 / self._roots[self.row_nodes]
+        is_tangential, is_bonded = np.zeros((2, len(scale)), dtype=np.bool_)
+        for pair, (n, t) in zip(pairs, self.slices, strict=True):
+            is_tangential[t] = True
+            is_bonded[n.start : t.stop] = pair.bonded
+        self._is_tangential = is_tangential
+        tangential, count = np.flatnonzero(is_tangential), len(self._roots)
+        semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
+        self._ellipses = FrictionDiscs.of_ellipses(self.row_nodes[tangential], semi_axes, count)
+        stretch = np.ones(len(scale))
+        stretch[tangential] = self._ellipses.stretch
         self._of_V = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self._of_V.createVecLeft(), self._of_V.createVecLeft()
-        self._friction_discs = [FrictionDiscs.from_pair(pair) for pair in pairs]
-        areas = [pair.weights[pair.row_node] for pair in pairs]
-        scale = 1.0 / np.sqrt(np.concatenate(areas))
-        stretch = np.ones(len(scale))
-        for discs, (_, tangential) in zip(self._friction_discs, self.slices, strict=True):
-            stretch[tangential] = discs.stretch
         self._multipliers.array = stretch
         self._of_V.diagonalScale(L=self._multipliers)
         component = system.component
@@ -112,8 +120,13 @@ class JumpOperator(PetscOwner):
         self._force, self.work = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
-        self.unbounded = self._without_bounds()
-        self.discs = self._separated()
+        rubs = ~is_bonded[tangential]
+        alone, tangential = self._ellipses.frictionless[rubs], tangential[rubs]
+        node = self.row_nodes[tangential].astype(np.intp)
+        node[alone] = count + np.arange(alone.sum())
+        radius = np.full(count + alone.sum(), np.inf)
+        normal = np.flatnonzero(~(is_tangential | is_bonded))
+        self.discs = FeasibleSet(len(scale), normal, tangential, node, radius)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -124,32 +137,22 @@ class JumpOperator(PetscOwner):
         if "_components" in vars(self):
             self._components.destroy()
 
-    @cached_property
-    def row_nodes(self) -> Indices:
-        """The number (size,) of each row's node; nodes are numbered pair by pair."""
-        ends = np.cumsum([len(pair.nodes) for pair in self.pairs])
-        starts = zip(self.pairs, ends, strict=True)
-        return np.concatenate([pair.row_node + end - len(pair.nodes) for pair, end in starts])
-
     @property
     def by_pair(self) -> list[RowsOfPair]:
         """The nodes and rows of the multipliers that act on each pair."""
-        firsts = np.cumsum([0, *(len(pair.nodes) for pair in self.pairs)])
         result = []
         for k, pair in enumerate(self.pairs):
             numbers = pair.undeformed.group.numbers
-            member = numbers.index(k)
-            operators, nodes, normal, tangential = [], [], [], []
+            operators, acts = [], np.zeros(len(self._roots), dtype=np.bool_)
             for j in numbers:
-                paired, (n, t) = self.pairs[j], self.slices[j]
-                share = paired.shares[:, member]
-                keep = share > 0.0
-                operators.append(dataclasses.replace(paired.at_nodes(keep), weights=share[keep]))
-                nodes.append(firsts[j] + np.flatnonzero(keep))
-                normal.append(n.start + np.flatnonzero(keep[paired.normal_node]))
-                tangential.append(t.start + np.flatnonzero(keep[paired.tangent_node]))
-            rows = (np.concatenate(arrays) for arrays in (nodes, normal, tangential))
-            result.append(RowsOfPair(joined(operators), *rows))
+                share = self.pairs[j].shares[:, numbers.index(k)]
+                keep = acts[self.nodes[j]] = share > 0.0
+                at_nodes = self.pairs[j].at_nodes(keep)
+                operators.append(dataclasses.replace(at_nodes, weights=share[keep]))
+            nodes, rows = np.flatnonzero(acts), acts[self.row_nodes]
+            normal, tangential = rows & ~self._is_tangential, rows & self._is_tangential
+            positions = nodes, np.flatnonzero(normal), np.flatnonzero(tangential)
+            result.append(RowsOfPair(joined(operators), *positions))
         return result
 
     def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
@@ -158,72 +161,35 @@ class JumpOperator(PetscOwner):
         for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
             self.gap[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
 
-    def _without_bounds(self) -> FeasibleSet:
-        """Return Lambda with infinite slip bounds. Not collective."""
-        normal, tangential, node = [], [], []
-        nodes = 0
-        positions = np.arange(len(self.gap))
-        for pair, (n, t) in zip(self.pairs, self.slices, strict=True):
-            if not pair.bonded:
-                normal.append(positions[n])
-                tangential.append(positions[t])
-                node.append(pair.tangent_node + nodes)
-            nodes += len(pair.nodes)
-        return FeasibleSet(
-            size=len(positions),
-            normal=np.concatenate([*normal, positions[:0]]),
-            tangential=np.concatenate([*tangential, positions[:0]]),
-            node=np.concatenate([*node, positions[:0]]).astype(np.intp),
-            radius=np.full(nodes, np.inf),
-        )
-
-    def _separated(self) -> FeasibleSet:
-        """Return `discs`: `unbounded` with a disc for each frictionless row. Not collective."""
-        frictionless = [
-            discs.frictionless
-            for pair, discs in zip(self.pairs, self._friction_discs, strict=True)
-            if not pair.bonded
-        ]
-        rows = np.flatnonzero(np.concatenate([*frictionless, np.zeros(0, dtype=np.bool_)]))
-        node, nodes = self.unbounded.node.copy(), len(self.unbounded.radius)
-        node[rows] = np.arange(nodes, nodes + len(rows))
-        return dataclasses.replace(
-            self.unbounded, node=node, radius=np.full(nodes + len(rows), np.inf)
-        )
-
     def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet:
         """Return Lambda for slip bounds at each pair's nodes. Collective.
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
-        roots = np.sqrt(np.concatenate([pair.weights for pair in self.pairs]))
-        radius = np.concatenate([discs.radius for discs in self._friction_discs])
-        count = len(self.discs.radius)
+        count, radius = len(self.discs.radius), self._ellipses.radius
+        factors = {
+            "constant": radius * self._roots,
+            "coefficient": radius,
+            "limit": radius * self._roots,
+        }
         constant, coefficient, limit = (
             _scaled(np.concatenate([getattr(bounds, name) for bounds in slip_bounds]), by, count)
-            for name, by in (
-                ("constant", radius * roots),
-                ("coefficient", radius),
-                ("limit", radius * roots),
-            )
+            for name, by in factors.items()
         )
         lam = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
             return lam
-        normal_of = np.full(count, -1)
-        start = 0
-        curves: list[tuple[slice, Curve]] = []
-        for pair, (normal, _), bounds in zip(self.pairs, self.slices, slip_bounds, strict=True):
-            if not pair.bonded:
-                rows = np.arange(normal.start, normal.stop)
-                normal_of[start + pair.normal_node] = rows
-            if bounds.curve is not None:
-                curves.append((slice(start, start + len(pair.nodes)), bounds.curve))
-            start += len(pair.nodes)
-        root = np.append(np.where(roots > 0.0, roots, 1.0), np.ones(count - len(roots)))
-        functions = NodalCurves(curves, root) if curves else None
+        normal_of, root = np.full(count, -1), np.ones(count)
+        normal_of[self.row_nodes[lam.normal]] = lam.normal
+        root[: len(self._roots)] = np.where(self._roots > 0.0, self._roots, 1.0)
+        on_nodes = zip(self.nodes, slip_bounds, strict=True)
+        curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
-            **vars(lam), normal_of=normal_of, coefficient=coefficient, limit=limit, curves=functions
+            **vars(lam),
+            normal_of=normal_of,
+            coefficient=coefficient,
+            limit=limit,
+            curves=NodalCurves(curves, root) if curves else None,
         )
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
@@ -269,7 +235,7 @@ class JumpOperator(PetscOwner):
         product = self._components.createVecLeft()
         self._components.mult(u.x.petsc_vec, product)
         vectors = product.array.reshape(-1, self.system.V.dofmap.index_map_bs).copy()
-        return np.split(vectors, np.cumsum([len(pair.nodes) for pair in self.pairs])[:-1])
+        return [vectors[nodes] for nodes in self.nodes]
 
     def closings(self, u: fem.Function) -> list[Array]:
         """Return for each pair the jumps of u (n,) [length] along its nodes' normals. Collective.
@@ -306,6 +272,11 @@ class JumpOperator(PetscOwner):
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force
+
+
+def _consecutive(lengths: Sequence[int]) -> list[slice]:
+    """Return slices of given lengths that follow one another."""
+    return [slice(*ends) for ends in pairwise(np.cumsum([0, *lengths]).tolist())]
 
 
 def _scaled(values: Array, factors: Array, count: int) -> Array:

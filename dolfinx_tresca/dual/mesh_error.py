@@ -15,9 +15,6 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
-from ufl.algorithms.map_integrands import map_integrand_dags
-from ufl.classes import Argument, Zero
-from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
@@ -239,24 +236,6 @@ def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
     return np.asarray(at_nodes @ np.linalg.inv(at_points))
 
 
-class _Substitution(MultiFunction):  # type: ignore[misc]
-    """Replaces gradients of arguments by a tensor, and arguments by zero."""
-
-    def __init__(self, gradient: Any) -> None:
-        super().__init__()
-        self._gradient = gradient
-
-    expr = MultiFunction.reuse_if_untouched
-
-    def grad(self, o: Any) -> Any:
-        """Replace the gradient of an argument."""
-        return self._gradient if isinstance(o.ufl_operands[0], Argument) else o
-
-    def argument(self, o: Any) -> Any:
-        """Drop terms that depend on values, such as springs."""
-        return Zero(o.ufl_shape)
-
-
 def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
     """Return the cell integrals of a(u, u), with grad u replaced by a tensor, times a weight.
 
@@ -266,7 +245,9 @@ def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
         weight: scalar UFL expression that multiplies the integrands.
     """
     a = apply_derivatives(apply_algebra_lowering(a))
-    a = map_integrand_dags(_Substitution(gradient), a)
+    zero = ufl.zero(gradient.ufl_shape[:1])  # drops terms that depend on values, such as springs
+    for argument in a.arguments():
+        a = ufl.replace(a, {ufl.grad(argument): gradient, argument: zero})
     integrals = [
         integral.reconstruct(integrand=integral.integrand() * weight)
         for integral in a.integrals()

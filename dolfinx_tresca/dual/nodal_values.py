@@ -6,23 +6,23 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
+from math import prod
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
-import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
+from ufl.algorithms import expand_derivatives
 from ufl.classes import Coefficient, Expr
 from ufl.corealg.traversal import traverse_unique_terminals
 from ufl.domain import extract_domains
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
-from dolfinx_tresca._base.compat import collapse, interpolation_points
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.compat import interpolation_points
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.user_fields import ScalarField, VectorField
 
@@ -129,13 +129,6 @@ class NodalValues:
         """Keep V, whose nodes are the interpolation points of its element."""
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
-        #: Spaces of controls with their interpolation matrices, by the `id` of the space: keeping
-        #: the space keeps the id valid.
-        self._interpolations: dict[int, tuple[Any, PETSc.Mat]] = {}
-
-    def destroy(self) -> None:
-        """Drop the interpolation matrices. Not collective."""
-        self._interpolations.clear()
 
     def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values of a scalar (n,) at nodes of this rank. Collective.
@@ -164,17 +157,15 @@ class NodalValues:
         """Return the present values (n, components) of a scalar or vector field. Collective."""
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
-        if isinstance(field, fem.Function):
-            self._check_mesh(field, name)
-            if components > 1:
-                nodal, position = fem.Function(self._V), nodes
-            else:
-                nodal, position = self._scalar_field[0], self._scalar_field[1][nodes]
-            nodal.interpolate(field)
-            values: Array = nodal.x.array.reshape(-1, components)[position]
-            return values
         if isinstance(field, fem.Constant):
             field = field.value
+        if isinstance(field, fem.Function):
+            self._check_mesh(field, name)
+            nodal = fem.Function(self._V)
+            # keeps values that are infinite, which basis functions would spread as NaN
+            (nodal if components > 1 else nodal.sub(0)).interpolate(field)
+            at_nodes: Array = nodal.x.array.reshape(-1, self._V.dofmap.index_map_bs)
+            return at_nodes[nodes, :components]
         if isinstance(field, Expr):
             return self._of_expression(field, nodes, name)
         if callable(field):
@@ -207,16 +198,13 @@ class NodalValues:
             InputError: the control is a Function with components, or on another mesh; or a Python
                 function reads it.
         """
-        slopes = self._slopes(field, control, None, nodes, name)
+        space, dofmap = control.function_space, control.function_space.dofmap
+        slopes = self._slopes(field, control, ufl.TestFunction(space), nodes, name)
         if slopes is None:
             return None
-        _, position = self._scalar_field
-        matrix = self._interpolation_from(control.function_space)
-        of_control, of_field = matrix.createVecs()
-        np.add.at(of_field.array, position[nodes], weights * slopes)
-        matrix.multTranspose(of_field, of_control)
-        result = np.array(of_control.array)
-        return result
+        dofs, terms = dofmap.list[self._places(nodes)[0]], weights[:, None] * slopes
+        sums = summed_at_nodes(dofmap.index_map, dofs, terms[..., None])
+        return sums[: dofmap.index_map.size_local, 0]
 
     def pushed_forward(
         self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
@@ -237,53 +225,41 @@ class NodalValues:
             InputError: see `pulled_back`.
         """
         slopes = self._slopes(field, control, direction, nodes, name)
-        if slopes is not None and isinstance(control, fem.Function):
-            slopes = slopes * self.scalars_at(direction, nodes, name)
-        return slopes
+        return None if slopes is None else slopes[:, 0]
 
     def _slopes(
         self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
     ) -> Array | None:
-        """Return derivatives (n,) of a scalar with respect to a control. Collective.
+        """Return derivatives (n, k) of a scalar along directions of a control. Collective.
 
-        They are derivatives along the direction of a Constant, and by the nodal values of a
-        Function. The result is None if the scalar does not depend on the control.
+        A test function stands for k directions: the basis functions of the node's cell. The result
+        is None if the scalar does not depend on the control.
 
         Raises:
             InputError: see `pulled_back`.
         """
         is_constant = isinstance(control, fem.Constant)
-        along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if callable(field) and not isinstance(field, Expr):
-            comm, values = self._V.mesh.comm, partial(self.scalars_at, field, nodes, name)
+            comm, values = self._V.mesh.comm, partial(self._values_at, field, nodes, name, 1)
+            along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
             rates = central_differences(comm, control, along[None], values, name)
             return None if rates is None else rates[0]
         if control not in inputs_of(field):
             return None
-        if not is_constant:
-            if control.ufl_shape != ():
-                raise InputError(
-                    f"{name} depends on a Function with components, '{control.name}': derivatives "
-                    "are available with respect to scalar Functions only."
-                )
-            self._check_mesh(control, name)
-        if field is control:
-            return np.full(len(nodes), along[0] if is_constant else 1.0)
-        variable = ufl.variable(control)
-        slope = ufl.diff(ufl.replace(field, {control: variable}), variable)
-        slopes = self._of_expression(ufl.algorithms.expand_derivatives(slope), nodes, name)
-        return slopes @ along if is_constant else slopes[:, 0]
-
-    def _interpolation_from(self, space: Any) -> PETSc.Mat:
-        """Return the matrix that interpolates from a scalar space to the nodes. Collective."""
-        if id(space) not in self._interpolations:
-            nodal = self._scalar_field[0].function_space
-            matrix = dolfinx.fem.petsc.interpolation_matrix(space, nodal)
-            matrix.assemble()
-            self._interpolations[id(space)] = space, matrix
-        return self._interpolations[id(space)][1]
+        if is_constant:
+            variable = ufl.variable(control)
+            slope = ufl.diff(ufl.replace(field, {control: variable}), variable)
+            slopes = self._of_expression(expand_derivatives(slope), nodes, name)
+            return slopes @ np.reshape(direction, (-1, 1))
+        if control.ufl_shape != ():
+            raise InputError(
+                f"{name} depends on a Function with components, '{control.name}': derivatives "
+                "are available with respect to scalar Functions only."
+            )
+        slope = ufl.derivative(field, control, direction)
+        return self._of_expression(expand_derivatives(slope), nodes, name)
 
     def _of_function(
         self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
@@ -326,22 +302,29 @@ class NodalValues:
             )
 
     def _of_expression(self, expression: Expr, nodes: LocalNumbers, name: str) -> Array:
-        """Return the values (n, components) of an expression. Collective."""
+        """Return the values (n, k) of an expression, k values at each node. Collective.
+
+        These are its components, or one for each basis function of the cell if the expression
+        contains a test function.
+        """
         self._check_mesh(expression, name)
-        mesh = self._V.mesh
         if expression not in self._compiled:
-            unity = fem.Constant(mesh, 1.0)  # expressions of numbers alone have no mesh
+            # expressions of numbers alone have no mesh
+            unity = fem.Constant(self._V.mesh, 1.0)
             self._compiled[expression] = fem.Expression(
                 unity * expression, interpolation_points(self._V.element)
             )
-        cells = self._V.dofmap.list
-        places = self._first_seen[nodes]
-        sampled = self._compiled[expression].eval(mesh, places // cells.shape[1])
-        components = int(np.prod(expression.ufl_shape, dtype=int))
-        values: Array = sampled.reshape(len(nodes), cells.shape[1], components)[
-            np.arange(len(nodes)), places % cells.shape[1]
-        ]
+        cells, points = self._places(nodes)
+        sampled = self._compiled[expression].eval(self._V.mesh, cells)
+        count = self._V.dofmap.list.shape[1]
+        at_points = sampled.reshape(len(cells), count, prod(sampled.shape[1:]) // count)
+        values: Array = at_points[np.arange(len(cells)), points]
         return values
+
+    def _places(self, nodes: LocalNumbers) -> tuple[LocalNumbers, LocalNumbers]:
+        """Return for each node (n,) the first cell that has it, and its place in this cell."""
+        cells, points = np.divmod(self._first_seen[nodes], self._V.dofmap.list.shape[1])
+        return cells, points
 
     @cached_property
     def _points(self) -> Array:
@@ -356,12 +339,3 @@ class NodalValues:
         result = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
         result[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
         return result
-
-    @cached_property
-    def _scalar_field(self) -> tuple[fem.Function, LocalNumbers]:
-        """A scalar Function, and the position of each node of V in its values. Collective."""
-        scalar, dofs = collapse(self._V.sub(0))
-        dofs //= self._V.dofmap.index_map_bs
-        position = np.empty(len(dofs), dtype=np.int32)
-        position[dofs] = np.arange(len(dofs))
-        return fem.Function(scalar), position

@@ -172,7 +172,7 @@ class DualProgram:
 
     def _largest_stress(self, x: Array) -> float:
         """Return the largest pressure or traction of this rank's multipliers. Not collective."""
-        nodes, stress = self.jump.unbounded, x * self.jump.stress_scale
+        nodes, stress = self.jump.discs, x * self.jump.stress_scale
         return max(
             float(np.abs(stress[nodes.normal]).max(initial=0.0)),
             float(nodes.norms(stress).max(initial=0.0)),

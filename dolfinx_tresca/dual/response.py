@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -83,7 +84,6 @@ class ElasticResponse:
         if (frames := self._jump.frames) is not None:
             self.offset = self.offset - self._jump.of_displacement(frames.rigid)
         self._u = self._jump.work
-        self._load_terms: tuple[float, Array] | None = None
         self._is_refined = self._solver.exact
         self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
         self._compute_b(LOAD_ACCURACY)
@@ -170,14 +170,25 @@ class ElasticResponse:
         """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
         return self.offset - self._jump.of_unknowns(u)
 
-    def displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
+    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
+        """Set u to the displacement at x, and keep it. Collective.
+
+        A direct solver takes one solve with K; with an iterative solver, u is known if the gradient
+        at x was computed from it.
+        """
+        u.array = self._guessed(x)
+        self._solver.improve(self._jump.net_force(x), u, rtol=ROUGH, accuracy=0.0)
+        if self._solver.exact:
+            self._solved = x.copy(), u.array.copy()
+
+    def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
-        A displacement with which the convergence of the multipliers was checked is returned
-        unchanged, since a more accurate displacement may have a larger error bound. The bounds of
-        two displacements may differ by more than the energy norm of the displacements' difference:
-        for a bound, gaps are closed by moving contact nodes alone, and this takes much energy if
-        the difference is smooth and cells are flat.
+        The next solve starts from the result. A displacement with which the convergence of the
+        multipliers was checked is returned unchanged, since a more accurate displacement may have a
+        larger error bound. The bounds of two displacements may differ by more than the energy norm
+        of the displacements' difference: for a bound, gaps are closed by moving contact nodes
+        alone, and this takes much energy if the difference is smooth and cells are flat.
 
         Args:
             x: (size,) multipliers.
@@ -192,27 +203,10 @@ class ElasticResponse:
             self._solver.solve(self._jump.net_force(x), u)
         else:
             u.array = self._guessed(x)
-            if (error := self.error(x, u)) <= SLACK * accuracy:
-                return error
-            self._improve(x, u, accuracy)
-        return self.error(x, u)  # includes rounding, which an iteration does not see
-
-    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement at x, and keep it. Collective.
-
-        A direct solver takes one solve with K; with an iterative solver, u is known if the gradient
-        at x was computed from it.
-        """
-        u.array = self._guessed(x)
-        self._solver.improve(self._jump.net_force(x), u, rtol=ROUGH, accuracy=0.0)
-        if self._solver.exact:
-            self._solved = x.copy(), u.array.copy()
-
-    def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None) -> float:
-        """Solve like `displacement`, and let the next solve start from the result. Collective."""
-        error = self.displacement(x, u, accuracy)
+            if self.error(x, u) > SLACK * accuracy:
+                self._improve(x, u, accuracy)
         self._guess.newest = u.array.copy()
-        return error
+        return self.error(x, u)  # includes rounding, which an iteration does not see
 
     def _guessed(self, x: Array) -> Array:
         """Return the displacement without contact for x = 0, else that of the last multipliers."""
@@ -236,7 +230,7 @@ class ElasticResponse:
             r: (size,) gradient at x.
             error: error of the displacement in the energy norm.
         """
-        energy, jump = self._solved_load_terms()
+        energy, jump = self._load_terms
         square = energy + float(self._inner(x, r + self.b - 2.0 * jump))
         # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
@@ -248,17 +242,16 @@ class ElasticResponse:
         Such a displacement is the small difference of K^-1 f and K^-1 B'x, which both have about
         the norm of K^-1 f. The first call may need a solve with K, as in `energy_norm`.
         """
-        energy, _ = self._solved_load_terms()
+        energy, _ = self._load_terms
         # 64 eps, and the root of it, since the energy is computed as a difference of energies
         return max(float(np.sqrt(ROUNDING * energy)), self.b_error)
 
-    def _solved_load_terms(self) -> tuple[float, Array]:
-        """Return a(u, u) without contact, and the jump (size,) due to forces alone. Collective.
+    @cached_property
+    def _load_terms(self) -> tuple[float, Array]:
+        """a(u, u) without contact, and the jump (size,) due to forces alone. Collective.
 
-        The first call computes both, with a solve if forces act and displacements are prescribed.
+        The first access takes a solve if forces act and displacements are prescribed.
         """
-        if self._load_terms is not None:
-            return self._load_terms
         system, u = self._system, self._u
         u.array = self._guess.load
         energy = 2.0 * system.strain_energy(u)
@@ -271,5 +264,4 @@ class ElasticResponse:
             if forces.x.petsc_vec.norm() > 0.0:
                 self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
             jump = self._jump.of_unknowns(u)
-        self._load_terms = max(energy, 0.0), jump  # the energy of a rigid motion is rounding
-        return self._load_terms
+        return max(energy, 0.0), jump  # the energy of a rigid motion is rounding

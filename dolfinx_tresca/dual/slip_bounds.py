@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, cross, real
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers, Mask, cross, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
@@ -150,9 +150,14 @@ class FrictionDiscs:
     frictionless: Mask
 
     @classmethod
-    def from_pair(cls, pair: PairOperators) -> FrictionDiscs:
-        """Return the scaling for the semi-axes of a pair. Not collective."""
-        node, semi_axes, count = pair.tangent_node, pair.semi_axes, len(pair.nodes)
+    def of_ellipses(cls, node: Indices, semi_axes: Array, count: int) -> FrictionDiscs:
+        """Return the scaling for ellipses. Not collective.
+
+        Args:
+            node: (n_tangential,) the node of each tangential row.
+            semi_axes: (n_tangential,) `PairOperators.semi_axes`.
+            count: number of nodes n.
+        """
         positive = semi_axes > 0.0
         number = np.bincount(node[positive], minlength=count)
         logarithms = np.bincount(node[positive], np.log(semi_axes[positive]), minlength=count)
@@ -174,16 +179,17 @@ TERMS = {
 DIRECTION = "the direction of the slip bound"
 
 
-def _name(friction: Friction, term: str) -> str:
-    """Return the name of a term of a law's bound, for error messages."""
-    return friction.constant_name if term == "constant" else TERMS[term]
-
-
-def _semi_axes(bound: Bound, name: str) -> list[tuple[ScalarField, str]]:
-    """Return the one or two scalars of a bound, and their names."""
-    if not isinstance(bound, tuple):
-        return [(bound, name)]
-    return [(value, f"{name} {side}") for value, side in zip(bound, DIRECTION_NAMES, strict=True)]
+def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]]]:
+    """Return for each term of a law's bound its one or two scalars, with names for messages."""
+    result = {}
+    for term, words in TERMS.items():
+        name = friction.constant_name if term == "constant" else words
+        bound: Bound = getattr(friction.terms, term)
+        result[term] = [(bound, name)]
+        if isinstance(bound, tuple):
+            sides = zip(bound, DIRECTION_NAMES, strict=True)
+            result[term] = [(value, f"{name} {side}") for value, side in sides]
+    return result
 
 
 @dataclass(frozen=True)
@@ -218,18 +224,28 @@ class SlipBounds:
         self._comm, self._dim = V.mesh.comm, V.mesh.geometry.dim
         self.values = NodalValues(V)
 
-    def check(self, friction: Friction, nodes: LocalNumbers) -> None:
-        """Check that bounds can be evaluated at nodes of this rank, whatever their values.
+    def check(self, friction: Friction, nodes: LocalNumbers, stress_rounding: float) -> None:
+        """Check that bounds can be evaluated at nodes of this rank. Collective.
 
-        Collective.
+        Only bounds that are plain numbers must have values that are allowed: others may change
+        before a solve.
+
+        Args:
+            friction: the law of friction whose bounds are checked.
+            nodes: (n,) contact nodes of this rank.
+            stress_rounding: see `nodal_bounds`.
 
         Raises:
             InputError: the bound or the direction is on another mesh; a function returns neither a
-                number (or a vector) nor one value for each point; or a direction is given in 2D.
+                number (or a vector) nor one value for each point; a direction is given in 2D; or a
+                number is negative by more than rounding.
         """
-        for name in TERMS:
-            for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
-                self.values.scalars_at(field, nodes, words)
+        for scalars in _named_scalars(friction).values():
+            for field, words in scalars:
+                if real(field) is None:
+                    self.values.scalars_at(field, nodes, words)
+                else:
+                    self._bound(field, nodes, words, stress_rounding)
         if friction.terms.curve is not None:
             nowhere = np.zeros(len(nodes))
             self.check_curve(friction.terms.curve, nowhere, nowhere)
@@ -240,24 +256,6 @@ class SlipBounds:
                     "surfaces slide along one direction only, so give one bound."
                 )
             self.values.vectors_at(friction.terms.direction, nodes, DIRECTION)
-
-    def check_numbers(
-        self, friction: Friction, nodes: LocalNumbers, stress_rounding: float
-    ) -> None:
-        """Check bounds that are plain numbers: they are known already before a solve. Collective.
-
-        Args:
-            friction: the law of friction whose bounds are checked.
-            nodes: (n,) contact nodes of this rank.
-            stress_rounding: see `at`.
-
-        Raises:
-            InputError: a bound is negative by more than rounding.
-        """
-        for name in ("constant", "limit"):
-            for field, words in _semi_axes(getattr(friction.terms, name), _name(friction, name)):
-                if real(field) is not None:
-                    self._bound(field, nodes, words, stress_rounding)
 
     def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
@@ -278,23 +276,19 @@ class SlipBounds:
         terms = friction.terms
         bounds: dict[str, Array] = {}
         shape: Array = np.ones((len(nodes), 2))
-        for name in TERMS:
-            words = _name(friction, name)
-            fields = _semi_axes(getattr(terms, name), words)
+        for name, scalars in _named_scalars(friction).items():
             rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
             values = np.stack(
-                [self._bound(field, nodes, text, rounding) for field, text in fields], axis=1
+                [self._bound(field, nodes, words, rounding) for field, words in scalars], axis=1
             )
             bounds[name] = values.max(axis=1)
-            if len(fields) == 2:
-                shape = self._shape(values, words)
+            if len(scalars) == 2:
+                shape = self._shape(values, TERMS[name])
         ellipses = None
         if terms.direction is not None:
             direction = self.values.vectors_at(terms.direction, nodes, DIRECTION)
             ellipses = NodalEllipses(direction, shape)
-        return NodalBounds(
-            bounds["constant"], bounds["coefficient"], bounds["limit"], ellipses, terms.curve
-        )
+        return NodalBounds(**bounds, ellipses=ellipses, curve=terms.curve)
 
     def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:
         """Check a curve's values at pressures (n,) and slips (n,) of this rank. Collective.

@@ -19,7 +19,6 @@ from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.guaranteed.bound import Bodies, Candidate
 from dolfinx_tresca.guaranteed.mesh_cells import require
 from dolfinx_tresca.scene.goal import ContactForce, NormalForce, checked_goal
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
 
 #: Factor by which the size of the change of the load is varied as long as the interval shrinks, and
 #: largest power of it.
@@ -71,7 +70,7 @@ class Functional:
             InputError: the goal is neither a force nor a linear form, or slip bounds depend on
                 pressures.
         """
-        fixed_bounds = not isinstance(dual.admissible, FrictionCones)
+        fixed_bounds = dual.admissible.has_given_bounds
         require(
             bodies.comm,
             fixed_bounds,

@@ -150,7 +150,7 @@ def evaluate(
         closing[operators.normal_node] += (by_tools * B.length_scale)[n]
     increment = jump + by_tools - response.offset
     origin = dual.history.origin.copy()  # the next step starts from where tools are now
-    origin[B.unbounded.tangential] -= by_tools[B.unbounded.tangential]
+    origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     target = dual.decoupled_minimiser(solution.multipliers, r)
     cones = dual.admissible.at_point(solution.multipliers, r)
     moved = cones.section(target)
@@ -301,15 +301,13 @@ def node_values(
     undecided = discs_at_edge(moved, target, B.stress_scale, change)
     rubbing, (bonded, pressed) = moved.radius > 0.0, np.zeros((2, len(stick)), dtype=np.bool_)
     tangential_rows = reduce_array(B.comm, [len(pair.tangent_node) for pair in B.pairs])
-    ends = np.cumsum([len(pair.nodes) for pair in B.pairs])
     states: list[Array] = []
     steps: list[Array] = []
     before: list[Array] = []
     greatest: Array = np.zeros(3)
-    for operators, slipped, end, rows, (n, t) in zip(
-        B.pairs, dual.history.slipped, ends, tangential_rows, B.slices, strict=True
+    for operators, slipped, own, rows, (n, t) in zip(
+        B.pairs, dual.history.slipped, B.nodes, tangential_rows, B.slices, strict=True
     ):
-        own = slice(end - len(operators.nodes), end)
         bonded[own] = operators.bonded
         # strict inequality: a node without gap and without load is not pressed
         pressed[own][operators.normal_node] = operators.bonded | (target[n] > 0.0)

@@ -9,8 +9,7 @@ which every product is counted. Arrays have the rows of one rank; `Reductions` a
   solves the problem with M, and the step to its solution takes one product, which improves M.
   Coulomb's law runs in the same loop, without a fixed-point iteration around it: Newton's method
   follows the bounds, and the energy need not decrease from step to step.
-- `Iterate`: the present multipliers and their gradient; `InexactIterate` computes gradients only as
-  accurately as a step needs.
+- `Iterate`: the present multipliers and their gradient, which is only as accurate as a step needs.
 - `FeasibleSet` is Lambda for given slip bounds, `FrictionCones` where bounds depend on pressure or
   slip; `Face`: which multipliers are pressed, stick, slip at a point.
 - `ProductStore`, `BlockBFGSModel`, `WholeModel`: known products, and the models made of them.

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array, eye_array
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, ROUNDING, Array, Indices
 from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.linear_algebra import NodalPattern, Reductions, eigenpairs, factored
@@ -112,11 +112,11 @@ class EqualityConstraints:
         missing, loads = self.residual(x, c), self.along_absolute(np.abs(x)) + self.sizes
         exact = self._exact_directions @ missing
         soft_terms = loads + abs(self.softness) @ np.abs(c)
-        result = 0.0
-        for residual, terms in ((exact, loads), (missing - exact, soft_terms)):
-            size = float(np.linalg.norm(terms))
-            result = max(result, float(np.linalg.norm(residual)) / size if size > 0.0 else 0.0)
-        return result
+        ratios = (
+            float(np.linalg.norm(residual)) / max(float(np.linalg.norm(terms)), LEAST_DIVISOR)
+            for residual, terms in ((exact, loads), (missing - exact, soft_terms))
+        )
+        return max(ratios)
 
     def violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.

@@ -85,14 +85,10 @@ class NaturalResidual:
         largest, zero = error / float(np.sqrt(self.rho)), self.zero
         return self.scale <= largest and self.norm_at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
 
-    def projection(self, point: Point) -> Array:
-        """Return the gradient projection P(x - rho r) (size,) with the bounds at a point."""
-        cones = self._problem.admissible.at_point(point.x, point.r)
-        return cones.section(point.x).project(point.x - self.rho * point.r)
-
     def norm_at(self, point: Point) -> float:
         """Return the natural residual, not divided by its scale. Collective."""
-        change = norm(self._problem, point.x - self.projection(point))
+        lam, x = self._problem.bounds(point.x, point.r), point.x
+        change = norm(self._problem, x - lam.project(x - self.rho * point.r))
         unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))
         return float(np.hypot(change, unbalanced)) / self.rho
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -75,6 +76,9 @@ class FeasibleSet:
             lambda_tau.
     """
 
+    #: Whether slip bounds depend neither on pressures nor on slips, as in Tresca's law.
+    has_given_bounds: ClassVar[bool] = True
+
     size: int
     normal: Indices
     tangential: Indices
@@ -83,16 +87,11 @@ class FeasibleSet:
 
     def norms(self, v: Array) -> Array:
         """Return the norms (n_discs,) of the tangential parts of v (size,)."""
-        squares = np.bincount(
-            self.node, weights=v[self.tangential] ** 2, minlength=len(self.radius)
-        )
-        return np.sqrt(squares)
+        return np.sqrt(self.sums(v**2))
 
     def disc_means(self, v: Array) -> Array:
         """Return the mean (n_discs,) of the tangential parts of each disc; 0 for empty discs."""
-        sums = np.bincount(self.node, v[self.tangential], minlength=len(self.radius))
-        number = np.bincount(self.node, minlength=len(self.radius))
-        return np.asarray(sums / np.maximum(number, 1))
+        return np.asarray(self.sums(v) / np.maximum(self.sums(np.ones_like(v)), 1.0))
 
     def mean_over_discs(self, v: Array) -> Array:
         """Return v with the tangential parts of each disc replaced by their mean."""

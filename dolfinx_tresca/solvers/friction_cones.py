@@ -61,7 +61,7 @@ class NodalCurves:
     root: Array
 
     @np.errstate(all="ignore")
-    def coefficients(self, constant: Array, pressure: Array, slip: Array) -> Array:
+    def coefficients(self, constant: Array, pressure: Array, slip: Array | float) -> Array:
         """Return F (n_discs,): values of the curves, and `constant` for discs without a curve.
 
         Values that are negative or not finite become zero: iterates may have pressures and slips
@@ -78,16 +78,19 @@ class NodalCurves:
         return result
 
     @np.errstate(all="ignore")
-    def slopes(self, pressure: Array, slip: Array) -> Array:
+    def slopes(self, pressure: Array, slip: Array | float) -> Array:
         """Return dF/dp and dF/dv (2, n_discs), zero for discs without a curve."""
         result = np.zeros((2, len(self.root)))
         for discs, curve, p, v in self.arguments(pressure, slip):
             result[:, discs] = _finite(np.array(curve.slopes(p, v)))
         return result / self.root
 
-    def arguments(self, pressure: Array, slip: Array) -> list[tuple[slice, Curve, Array, Array]]:
+    def arguments(
+        self, pressure: Array, slip: Array | float
+    ) -> list[tuple[slice, Curve, Array, Array]]:
         """Return the discs of each curve, the curve, and its nodes' pressures and slips (n,)."""
-        p, v = np.maximum(pressure, 0.0) / self.root, slip / self.root
+        p: Array = np.maximum(pressure, 0.0) / self.root
+        v: Array = np.divide(slip, self.root)
         return [(discs, curve, p[discs], v[discs]) for discs, curve in self.of_discs]
 
 
@@ -115,15 +118,17 @@ class FrictionCones(FeasibleSet):
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip; None: there are none.
-        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; None:
-            zeros.
+        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; 0.0 for
+            all discs.
     """
+
+    has_given_bounds = False
 
     normal_of: Indices
     coefficient: Array
     limit: Array
     curves: NodalCurves | None = None
-    slip: Array | None = None
+    slip: Array | float = 0.0
 
     @property
     def movable(self) -> Mask:
@@ -147,7 +152,7 @@ class FrictionCones(FeasibleSet):
             return self
         pressure, slip = self._pressures(x), self.norms(r)
         if target is not None:
-            at_rest = dataclasses.replace(self, slip=np.zeros_like(self.radius)).section(x).radius
+            at_rest = dataclasses.replace(self, slip=0.0).section(x).radius
             weakens = dataclasses.replace(self, slip=slip).slopes(x)[1] < 0.0
             slip = np.where((self.norms(target) <= at_rest) & ~weakens, 0.0, slip)
         moved = dataclasses.replace(self, slip=slip)
@@ -161,9 +166,7 @@ class FrictionCones(FeasibleSet):
 
     def slip_along(self, face: Face) -> Array:
         """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
-        if self.slip is None:
-            return np.zeros(self.size)
-        return face.along_radius(self.slip)
+        return face.along_radius(np.zeros_like(self.radius) + self.slip)
 
     def with_bound_change(
         self, x: Array, face: Face, diagonal: Array
@@ -241,7 +244,7 @@ class FrictionCones(FeasibleSet):
         coefficient = self._coefficients(pressure)
         grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         by_pressure, by_slip = coefficient, np.zeros_like(coefficient)
-        if self.curves is not None and self.slip is not None:
+        if self.curves is not None:
             pressed = np.maximum(pressure, 0.0)
             of_pressure, of_slip = self.curves.slopes(pressure, self.slip)
             by_pressure, by_slip = coefficient + pressed * of_pressure, pressed * of_slip
@@ -266,7 +269,7 @@ class FrictionCones(FeasibleSet):
 
     def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
         """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
-        if self.curves is None or self.slip is None:
+        if self.curves is None:
             return []
         arguments = self.curves.arguments(self._pressures(x), self.slip)
         return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
@@ -275,8 +278,7 @@ class FrictionCones(FeasibleSet):
         """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""
         if self.curves is None:
             return self.coefficient
-        slip = np.zeros_like(pressure) if self.slip is None else self.slip
-        return self.curves.coefficients(self.coefficient, pressure, slip)
+        return self.curves.coefficients(self.coefficient, pressure, self.slip)
 
     def _pressures(self, x: Array) -> Array:
         """Return the normal multiplier on which each bound depends; 0 if there is none.

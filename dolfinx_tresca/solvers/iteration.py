@@ -21,7 +21,6 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
 from dolfinx_tresca.solvers.constraints import balance
 from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
 from dolfinx_tresca.solvers.linear_algebra import norm
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
@@ -76,7 +75,7 @@ def solve(
             slip bounds that depend on the pressure.
     """
     if options.method in paper.ALGORITHMS:
-        if not isinstance(problem.admissible, FrictionCones):
+        if problem.admissible.has_given_bounds:
             run = paper.Run(problem, start, options, observe)
             return paper.ALGORITHMS[options.method](run)
         raise InputError(
@@ -89,7 +88,9 @@ def solve(
 class Iterate:
     """A point in the friction cones with its gradient, which moves by steps with their products.
 
-    Products are exact to rounding, as with a direct solver for K; see `InexactIterate`.
+    With a direct solver for K, products are exact to rounding. With an iterative one, the error of
+    the gradient in the norm sqrt(e'A^-1 e) is limited to a part of the energy norm of the steps; a
+    product is then the difference of two gradients, and contains the errors of both.
 
     Attributes:
         x: (size,) multipliers of the point.
@@ -97,14 +98,11 @@ class Iterate:
         r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
-        initial_part: sufficient error of the first gradient, relative to the energy norm of its
-            multipliers.
         learned: whether the last step has changed the model of A, or the accuracy of gradients.
         store: known products with A, to which new products are added.
         must_descend: whether q decreases in each step: for given slip bounds and held bodies.
     """
 
-    initial_part = FULL_ACCURACY
     x: Array
     c: Array
     r: Array
@@ -118,8 +116,11 @@ class Iterate:
             store: known products, to which new products are added.
         """
         self._problem, self.store, self.finest, self.learned = problem, store, 0.0, True
-        has_given_bounds = not isinstance(problem.admissible, FrictionCones)
-        self.must_descend = has_given_bounds and len(problem.constraints) == 0
+        self.must_descend = problem.admissible.has_given_bounds and len(problem.constraints) == 0
+        self._is_exact = problem.operator.exact
+        # the requested error of a gradient is a part of the length of the last step; the solver
+        # for K does not reach less than `_least`
+        self._part, self._length, self._least = FORCING, 0.0, 0.0
         self.return_to_zero()
 
     def return_to_zero(self) -> None:
@@ -136,12 +137,31 @@ class Iterate:
     def move(self, direction: Array, c: Array) -> None:
         """Take a step, for which the product with A is computed. Collective.
 
-        Known products give A times a part of the step. The rest of the step is new, and is added to
-        the store with its product.
-
         Args:
             direction: (size,) change of the multipliers.
             c: (k,) multipliers of the constraints at the end of the step.
+        """
+        self.c = c
+        if self._is_exact:
+            product, error = self._new_product(direction), self.error
+        elif float(self._problem.inner(direction, direction)) == 0.0:
+            return
+        else:
+            self._length = self._energy_norm(direction)
+            r, error = self._gradient(self.x + direction, self._requested_error)
+            # the difference of gradients: errors of gradients do not accumulate over the steps
+            product = r - self.r
+            self.learned = self.store.add(direction, product, error + self.error)
+            self._part = FORCING if self.learned else self._part
+        taken = self._part_to_take(direction, product)
+        self.x, self.r = self.x + taken * direction, self.r + taken * product
+        self.error = (1.0 - taken) * self.error + taken * error
+
+    def _new_product(self, direction: Array) -> Array:
+        """Return A times a step (size,), exact to rounding. Collective.
+
+        Known products give A times a part of the step. The rest of the step is new, and is added to
+        the store with its product.
         """
         before, (new, product) = len(self.store), self.store.split(direction)
         # subtracting the known part from a product of the whole direction would leave rounding
@@ -151,8 +171,7 @@ class Iterate:
             self.store.add(new, added)
             product = product + added
         self.learned = len(self.store) != before
-        taken = self._part_to_take(direction, product)
-        self.x, self.r, self.c = self.x + taken * direction, self.r + taken * product, c
+        return product
 
     def _part_to_take(self, direction: Array, product: Array) -> float:
         """Return the part of a step, at most 1, with the least q; 1 if q need not decrease.
@@ -178,7 +197,8 @@ class Iterate:
         """
         response, b = self._problem.response, self._problem.b
         product, error = self.store.product(x)
-        wanted = max(self.initial_part * self._energy_norm(x), self.finest)
+        relative = FULL_ACCURACY if self._is_exact else ROUGH
+        wanted = max(relative * self._energy_norm(x), self.finest)
         self.x, self.r, self.error = x, product - b, error + response.b_error
         if self.error > wanted:
             # an accuracy below the error of b is useless: for tiny multipliers, the product would
@@ -190,26 +210,9 @@ class Iterate:
         """Return the energy norm of x (size,), with the model in place of A. Collective."""
         return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
 
-    def increase_accuracy(self) -> None:
-        """Compute the gradient and later products more accurately, if that is possible."""
-
-
-class InexactIterate(Iterate):
-    """The point and its gradient with an iterative solver for K.
-
-    The error of the gradient in the norm sqrt(e'A^-1 e) is limited to a part of the energy norm of
-    the steps. A product is the difference of two gradients, and contains the errors of both.
-    """
-
-    initial_part = ROUGH
-
-    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
-        """Begin at zero, where no product is needed. The arguments are those of `Iterate`."""
-        super().__init__(problem, store)
-        self._length, self._least, self._part = 0.0, 0.0, FORCING
-
-    def _wanted(self) -> float:
-        """Return the requested error of the next gradient."""
+    @property
+    def _requested_error(self) -> float:
+        """The requested error of the next gradient."""
         return max(self._part * self._length, self.finest)
 
     def _gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
@@ -219,29 +222,13 @@ class InexactIterate(Iterate):
             self._least = max(self._least, error)
         return r, error
 
-    def move(self, direction: Array, c: Array) -> None:
-        """Take a step, which is added to the store with its product. Collective."""
-        self.c = c
-        if float(self._problem.inner(direction, direction)) == 0.0:
-            return
-        self._length = self._energy_norm(direction)
-        r, error = self._gradient(self.x + direction, self._wanted())
-        # the difference of gradients: errors of gradients do not accumulate over the steps
-        product = r - self.r
-        self.learned = self.store.add(direction, product, error + self.error)
-        if self.learned:
-            self._part = FORCING
-        taken = self._part_to_take(direction, product)
-        self.x, self.r = self.x + taken * direction, self.r + taken * product
-        self.error = (1.0 - taken) * self.error + taken * error
-
     def increase_accuracy(self) -> None:
         """Compute the gradient and later products more accurately, if that is possible."""
-        if self._part >= FULL_ACCURACY:
+        if not self._is_exact and self._part >= FULL_ACCURACY:
             self._part *= FORCING
             self.finest *= FORCING
             self.learned = True
-            self.refine(self._wanted())
+            self.refine(self._requested_error)
 
     def refine(self, accuracy: float) -> None:
         """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
@@ -256,7 +243,6 @@ class ModelNewton:
         problem: A, b, cones and constraints.
         options: tolerances.
         observe: function that is called with each iterate, the first one included.
-        has_given_bounds: whether slip bounds do not depend on pressures (Tresca's law).
         store: known products with A.
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.
@@ -272,7 +258,6 @@ class ModelNewton:
     def __init__(self, problem: DualProblem, options: SolverOptions, observe: Observe) -> None:
         """Keep the arguments; `run` solves. Not collective."""
         self.problem, self.options, self.observe = problem, options, observe
-        self.has_given_bounds = not isinstance(problem.admissible, FrictionCones)
         self.misses, self.completed_at = 0, 0
 
     def run(self, start: Array) -> DualSolution:
@@ -285,9 +270,8 @@ class ModelNewton:
             iterate.move(target.x - iterate.x, target.c)
             if (rho := self.proposed_rho()) < self.residual.rho:
                 self.residual.set_rho(rho)
-            if iterate.learned:
-                continue
-            if not self.residual.norm_at(iterate.point) < PROGRESS * self.history.errors[-1]:
+            progress = PROGRESS * self.history.errors[-1]
+            if not (iterate.learned or self.residual.norm_at(iterate.point) < progress):
                 iterate.increase_accuracy()
         solution = self.history.solution(iterate.point, status, iterate.error)
         return dataclasses.replace(solution, deficit=self.deficit)
@@ -315,8 +299,7 @@ class ModelNewton:
         satisfy the law of friction as well.
         """
         problem, constraints = self.problem, self.problem.constraints
-        kind = Iterate if problem.operator.exact else InexactIterate
-        self.iterate = iterate = kind(problem, self.store)
+        self.iterate = iterate = Iterate(problem, self.store)
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
         if residual.zero_is_undecided(iterate.error):
             problem.response.refine_b()
@@ -333,7 +316,7 @@ class ModelNewton:
         if self.options.rtol:
             iterate.finest = FORCING * self.history.residual_error
         if residual.norm_at(iterate.point) > residual.scale:
-            if problem.is_load_step and not self.has_given_bounds:
+            if problem.is_load_step and not problem.admissible.has_given_bounds:
                 residual.count(iterate.r + problem.b)
             else:
                 iterate.return_to_zero()
@@ -373,7 +356,7 @@ class ModelNewton:
             target: newest solution of the model, at whose pressures friction may be too weak.
         """
         iterate, history, residual = self.iterate, self.history, self.residual
-        if isinstance(iterate, InexactIterate):
+        if not self.problem.operator.exact:
             done = history.reached(iterate.point, 0.0, residual.norm_at(iterate.point))[2]
             iterate.refine(history.tolerable_error(iterate.point) if done else np.inf)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
@@ -389,9 +372,10 @@ class ModelNewton:
             return None
         if not stalls and not (misses and isinstance(self.store, WholeModel)):
             return None
-        if not self.has_given_bounds:
-            self.deficit = friction_deficit(self.problem, target)
-        if self.has_given_bounds or (is_limited and self.deficit is None):
+        if self.problem.admissible.has_given_bounds:
+            return ContactStatus.STAGNATED
+        self.deficit = friction_deficit(self.problem, target)
+        if is_limited and self.deficit is None:
             return ContactStatus.STAGNATED
         return ContactStatus.NO_FIXED_POINT
 

@@ -281,11 +281,7 @@ def _bicgstab(
     most: int = 500,
 ) -> Array:
     """Return x with |right - image(x)| <= tolerance, or the best x of `most` steps."""
-
-    def inner(x: Array, y: Array) -> float:
-        return float(problem.inner(x, y))
-
-    x: Array = np.zeros_like(right)
+    inner, x = problem.inner, np.zeros_like(right)
     direction: Array = right
     residual = shadow = right
     best, least, before = x, norm(problem, right), inner(shadow, residual)

@@ -109,8 +109,7 @@ class SemismoothNewton:
             model: model M of A.
         """
         self.problem, self.model = problem, model
-        lam = problem.admissible.section(np.zeros_like(problem.b))
-        self.size = lam.mean_over_discs(model.size)
+        self.size = problem.admissible.mean_over_discs(model.size)
         self.rho = np.asarray(RHO_DIAGONAL / self.size)
         ones, G = np.ones_like(self.size), problem.constraints.columns
         sums = [float(problem.inner(ones, values)) for values in (self.size, ones)]

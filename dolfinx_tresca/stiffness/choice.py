@@ -13,7 +13,7 @@ import numpy as np
 import dolfinx.fem.petsc
 from dolfinx import fem
 
-from dolfinx_tresca._base.arguments import check_word, checked_positive_integer
+from dolfinx_tresca._base.arguments import check_word, checked_integer
 from dolfinx_tresca._base.arrays import Mask
 from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca.errors import InputError, StiffnessError
@@ -277,7 +277,7 @@ def choose(
         InputError: the method is unknown or unsuitable for a mixed space, or the number of solves
             is not positive.
     """
-    solves = checked_positive_integer("expected_solves", expected_solves)
+    solves = checked_integer("expected_solves", expected_solves)
     check_word("stiffness", method, get_args(StiffnessMethod))
     if method == "multigrid" and saddle:
         raise InputError(

@@ -5,5 +5,5 @@
 - `sparse_model`, `dense_model`: A as a matrix, for many small bodies or for few multipliers.
 - `ContactCompliance`: all of them for one B and one K, computed when first needed.
 
-Read first: `operator.DualOperator.product`, `compliance.ContactCompliance.known_products`.
+Read first: `operator.DualOperator.apply`, `compliance.ContactCompliance.known_products`.
 """

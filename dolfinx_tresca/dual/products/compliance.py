@@ -107,7 +107,7 @@ class ContactCompliance(PetscOwner):
     @cached_property
     def certificate(self) -> EnergyBound:
         """The object that bounds errors in the energy norm. Collective."""
-        return EnergyBound(self.jump, self._local_stiffness)
+        return EnergyBound(self.jump, self.nodal_stiffness)
 
     @cached_property
     def near_field(self) -> NearField:
@@ -151,14 +151,9 @@ class ContactCompliance(PetscOwner):
         return isinstance(self._store, WholeModel)
 
     @cached_property
-    def _local_stiffness(self) -> Array:
-        """Force per jump of a node whose neighbours are fixed, (size,). Collective."""
-        return local_stiffness(self.jump)
-
-    @cached_property
     def nodal_stiffness(self) -> Array:
         """`local_stiffness` (size,), the same for all directions of a friction disc. Collective."""
-        return self.jump.discs.mean_over_discs(self._local_stiffness)
+        return self.jump.discs.mean_over_discs(local_stiffness(self.jump))
 
     @cached_property
     def stress_rounding(self) -> float:
