@@ -40,7 +40,6 @@ from dolfinx_tresca.adapt.refinement import (
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError, InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
-from dolfinx_tresca.problem.process import ContactProcess
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
@@ -137,24 +136,19 @@ class AdaptiveSolution(Tabulated):
             )
 
     def _rows(self) -> list[Row]:
-        seconds = sum(level.seconds for level in self.levels)
         number = self.goal_error
         measured = "solution's norm" if number is None else f"number, {number.value:.6g}"
-        return [
+        rows = [
             ("status", f"{self.status.name}: {self.status.value}"),
             ("mesh error", f"about {self.error:.1e} of the {measured}"),
             ("requested", f"{self.accuracy:.1e}"),
-            ("seconds", f"{seconds:.1f}"),
+            ("seconds", f"{sum(level.seconds for level in self.levels):.1f}"),
             ("level", "unknowns     error  products   seconds"),
-            *(
-                (
-                    f"  {level.number}",
-                    f"{level.free_dofs:8}  {level.error:8.1e}  {level.products:8}  "
-                    f"{level.seconds:8.1f}",
-                )
-                for level in self.levels
-            ),
         ]
+        for level in self.levels:
+            numbers = f"{level.free_dofs:8}  {level.error:8.1e}  {level.products:8}"
+            rows.append((f"  {level.number}", f"{numbers}  {level.seconds:8.1f}"))
+        return rows
 
     def __repr__(self) -> str:
         return (
@@ -376,12 +370,11 @@ def solve_adaptively(
     most_dofs = checked_number("max_dofs", max_dofs, "(0, inf]")
     most_levels = checked_positive_integer("max_levels", max_levels)
     checked_number("fraction", fraction, "(0, 1]")
-    if isinstance(after, AdaptiveSolution):
-        raise InputError(
-            "after must be a ContactSolution, found an AdaptiveSolution: take its .solution."
-        )
     if after is not None and not isinstance(after, ContactSolution):
-        raise InputError(f"after must be a ContactSolution, found {shown(after)}.")
+        raise InputError(
+            f"after must be a ContactSolution, found {shown(after)}: an AdaptiveSolution has one, "
+            "its attribute .solution."
+        )
     observe = agreed_observer(comm, observer, "a Level, such as print")
     levels: list[Level] = []
     while True:
@@ -444,13 +437,11 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
     Raises:
         InputError: the value is not a problem, or is a problem on another mesh.
     """
-    if isinstance(problem, ContactProcess) and not isinstance(problem, ContactProblem):
-        raise InputError(
-            "solve_adaptively estimates the mesh's error of linear bodies only, found a "
-            f"{type(problem).__name__}: refine the mesh by hand, and compare two solutions."
-        )
     if not isinstance(problem, ContactProblem):
-        raise InputError(f"build must return a ContactProblem, found {shown(problem)}.")
+        raise InputError(
+            f"build must return a ContactProblem, found {shown(problem)}. The mesh's error is "
+            "estimated for linear bodies only: for other ones compare solutions on two meshes."
+        )
     if not is_same(tagged_mesh.mesh, problem.mesh):
         raise InputError(
             "build must return a problem on the mesh that it is given, found one on another mesh, "
