@@ -91,8 +91,15 @@ def refine(
         (24, 192)
     """
     check_tagged_mesh(tagged_mesh)
-    checked_number("fraction", fraction, "(0, 1]")
-    return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction))
+    fraction = checked_number("fraction", fraction, "(0, 1]")
+    mesh, comm = tagged_mesh.mesh, tagged_mesh.mesh.comm
+    with errors_on_all_ranks(comm):
+        errors = checked_cell_errors(mesh, cell_errors)
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    marked = largest_part(comm, np.square(errors / largest), fraction)
+    return _distributed(tagged_mesh, BisectedCells.from_marked(mesh, marked))
 
 
 @dataclass(frozen=True)
@@ -252,25 +259,7 @@ def snapped(
     return np.asarray(points)
 
 
-def bisected(
-    tagged_mesh: TaggedMesh, cell_errors: fem.Function | Array | None, fraction: float
-) -> BisectedCells:
-    """Return the cells of the refined mesh, each on the rank of its parent. Collective.
-
-    Raises:
-        InputError: the errors are of the wrong type, negative, or all zero.
-    """
-    mesh = tagged_mesh.mesh
-    with errors_on_all_ranks(mesh.comm):
-        errors = checked_cell_errors(mesh, cell_errors)
-    largest = float(reduce_array(mesh.comm, errors.max(initial=0.0), MPI.MAX))
-    if largest == 0.0:
-        raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(mesh.comm, np.square(errors / largest), float(fraction))
-    return BisectedCells.from_marked(mesh, marked)
-
-
-def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
+def _distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
     """Return the mesh of bisected cells, with tags and on curved surfaces. Collective.
 
     Args:

@@ -27,15 +27,13 @@ from dolfinx_tresca._base.parallel import (
     each_warning_once,
     errors_on_all_ranks,
     log,
-    reduce_array,
 )
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.adapt.refinement import (
-    bisected,
     check_tagged_mesh,
     checked_cell_errors,
-    distributed,
     is_same,
+    refine,
 )
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError, InputError, shown
@@ -409,13 +407,11 @@ def solve_adaptively(
             elif level.number + 1 >= most_levels:
                 status = AdaptiveStatus.MAX_LEVELS
             else:
-                cells = bisected(tagged_mesh, level.cell_errors, fraction)
-                cell_map = tagged_mesh.mesh.topology.index_map(tagged_mesh.mesh.topology.dim)
-                growth = reduce_array(comm, len(cells.parent)) / cell_map.size_global
-                if growth * level.free_dofs > most_dofs:
+                finer = refine(tagged_mesh, level.cell_errors, fraction)
+                if _cells(finer) / _cells(tagged_mesh) * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:
-                    tagged_mesh = distributed(tagged_mesh, cells)
+                    tagged_mesh = finer
             is_end = status not in (None, AdaptiveStatus.FAILED)
             if is_end and level.solution.options != options:
                 solution = problem.solve()
@@ -424,6 +420,12 @@ def solve_adaptively(
         levels.append(replace(level, seconds=_seconds(comm, start)))
         if status is not None:
             return AdaptiveSolution(status, wanted, tuple(levels))
+
+
+def _cells(tagged_mesh: TaggedMesh) -> int:
+    """Return the number of cells of all ranks. Not collective."""
+    topology = tagged_mesh.mesh.topology
+    return int(topology.index_map(topology.dim).size_global)
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:

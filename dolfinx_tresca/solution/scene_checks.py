@@ -95,17 +95,15 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
         departures: the departures of the solution.
         noticed: the limits whose departures were logged; this call adds to them.
     """
+    departures = comm.bcast(list(departures))
     outside = [departure for departure in departures if departure.value > departure.limit.largest]
     told = outside or [departure for departure in departures if departure.limit not in noticed]
-    if not comm.bcast(bool(told)):
-        return ""
     noticed.update(departure.limit for departure in told)
     advice = dict.fromkeys(departure.advice for departure in told)
     text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
-    if not comm.bcast(bool(outside)):
+    if told and not outside:
         warn(comm, "near the end of linear theory: %s", text)
-        return ""
-    return str(comm.bcast(text))
+    return text if outside else ""
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
