@@ -110,9 +110,9 @@ def owned_dofs(bc: Any, owned: int) -> Any:
     return dofs[dofs < owned]
 
 
-def same_topology(tags: Any, mesh: Any) -> bool:
-    """Return whether tags belong to a mesh."""
-    return _same(tags.topology, mesh.topology)
+def same_topology(given: Any, mesh: Any) -> bool:
+    """Return whether tags, or a mesh in another wrapper, belong to a mesh."""
+    return _same(given.topology, mesh.topology)
 
 
 def _same(left: Any, right: Any) -> bool:

@@ -355,11 +355,6 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
             raise InputError(f"{name} must be MeshTags of dimension {wanted}, found {given}.")
 
 
-def is_same(mesh: Any, other_mesh: Any) -> bool:
-    """Return whether two meshes, perhaps in different wrappers, are the same. Not collective."""
-    return other_mesh is mesh or other_mesh.topology is mesh.topology
-
-
 def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
     """Check the user's `cell_errors`, and return the errors (n,) of the cells that this rank owns.
 
@@ -372,7 +367,7 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
     count = mesh.topology.index_map(mesh.topology.dim).size_local
     if isinstance(cell_errors, fem.Function):
         V = cell_errors.function_space
-        if not is_same(mesh, V.mesh):
+        if not compat.same_topology(V.mesh, mesh):
             raise InputError("cell_errors belong to another mesh than the one to refine.")
         if V.element.basix_element.degree != 0 or V.dofmap.bs != 1:
             raise InputError(f"cell_errors must have one value in each cell, found {shown(V)}.")

@@ -21,6 +21,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
 from dolfinx_tresca._base.arguments import checked_number, checked_positive_integer
+from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import (
     agreed_observer,
@@ -32,7 +33,6 @@ from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.adapt.refinement import (
     check_tagged_mesh,
     checked_cell_errors,
-    is_same,
     refine,
 )
 from dolfinx_tresca.derivatives.goals import GoalError
@@ -444,7 +444,7 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
             f"build must return a ContactProblem, found {shown(problem)}. The mesh's error is "
             "estimated for linear bodies only: for other ones compare solutions on two meshes."
         )
-    if not is_same(tagged_mesh.mesh, problem.mesh):
+    if not same_topology(problem.mesh, tagged_mesh.mesh):
         raise InputError(
             "build must return a problem on the mesh that it is given, found one on another mesh, "
             "such as that of the level before: take space, forms, conditions and tags from the "

@@ -217,7 +217,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
         function.x.array[field.indices] = field.values
         return function
     V = field.function_space
-    if V.mesh.topology is not mesh.topology:
+    if not same_topology(V.mesh, mesh):
         raise InputError(f"'{field.name}' lives on another mesh than the displacement.")
     try:
         element = V.element.basix_element

@@ -375,15 +375,11 @@ def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
     """
     mesh, V = fields.mesh, fields.pressure.function_space
     assert fields.slip is not None and fields.slip_path is not None
-    carries = fields.state.x.array != ContactState.OUTSIDE
-    slips = fields.slip.x.array.reshape(-1, mesh.geometry.dim)
-    values = np.column_stack([carries, slips, fields.slip_path.x.array]) * carries[:, None]
-    facets = np.flatnonzero(carries[V.dofmap.list].any(axis=1)).astype(np.int32)
-    result = np.zeros((len(points), values.shape[1]))
-    result[:, 0] = np.inf
-    function = zero_like(fields.pressure, "slip")
+    carries = zero_like(fields.pressure, "carries")
+    carries.x.array[:] = fields.state.x.array != ContactState.OUTSIDE
+    facets = np.flatnonzero(carries.x.array[V.dofmap.list].any(axis=1)).astype(np.int32)
     if len(points) == 0 or len(facets) == 0:
-        return result
+        return np.full((len(points), mesh.geometry.dim + 2), np.inf)
     trees = (
         dolfinx.geometry.bb_tree(mesh, mesh.topology.dim, entities=facets),
         dolfinx.geometry.create_midpoint_tree(mesh, mesh.topology.dim, facets),
@@ -394,11 +390,9 @@ def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
         dolfinx.geometry.compute_distance_gjk(facet, point[None])
         for facet, point in zip(corners, points, strict=True)
     ]
-    interpolated = np.zeros_like(result)
-    for column, nodal in zip(interpolated.T, values.T, strict=True):
-        function.x.array[:] = nodal
-        column[:] = function.eval(points + away, cells).ravel()
-    share = interpolated[:, :1]
-    result[:, 1:] = interpolated[:, 1:] / np.where(share > 0.0, share, 1.0)
-    result[:, 0] = np.linalg.norm(away, axis=1)
-    return result
+    share, slip, path = (
+        function.eval(points + away, cells).reshape(len(points), -1)
+        for function in (carries, fields.slip, fields.slip_path)
+    )
+    slips = np.hstack([slip, path]) / np.where(share > 0.0, share, 1.0)
+    return np.column_stack([np.linalg.norm(away, axis=1), slips])
