@@ -256,15 +256,15 @@ class ContactSolution(Evaluation, Tabulated):
             InputError: an index belongs to no body, both are equal, or the point does not have d
                 finite coordinates.
         """
-        index, other_index = self._body_index(body), self._body_index(other)
-        if index == other_index:
+        i, j = self._body_index(body), self._body_index(other)
+        if i == j:
             raise InputError(f"forces are between two bodies, found {shown(body)} twice.")
-        dim = self.u.function_space.mesh.geometry.dim
-        none = Resultant(np.zeros(dim), np.zeros(1 if dim == 2 else 3), np.zeros(dim))
-        between = self.between_bodies.get((min(index, other_index), max(index, other_index)), none)
-        sign = 1.0 if index < other_index else -1.0
-        between = Resultant(sign * between.force, sign * between.moment, between.point)
-        return between.about(self.body_resultants[0].point if point is None else point)
+        whole = self.body_resultants[0]
+        none = Resultant(0.0 * whole.force, 0.0 * whole.moment, whole.point)
+        between = self.between_bodies.get((min(i, j), max(i, j)), none)
+        sign = 1.0 if i < j else -1.0
+        on_body = Resultant(sign * between.force, sign * between.moment, between.point)
+        return on_body.about(whole.point if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
         """Return the index of a body that is given by its index or by its name.

@@ -100,9 +100,10 @@ def owned_dofs(bc: Any, owned: int) -> Any:
     return dofs[dofs < owned]
 
 
-def same_topology(tags: Any, mesh: Any) -> bool:
-    """Return whether tags belong to a mesh; since DOLFINx 0.10 some topologies have a wrapper."""
-    left, right = (getattr(t, "_cpp_object", t) for t in (tags.topology, mesh.topology))
+def same_topology(given: Any, mesh: Any) -> bool:
+    """Return whether tags, or a mesh in another wrapper, belong to a mesh."""
+    # since DOLFINx 0.10 some topologies have a wrapper
+    left, right = (getattr(t, "_cpp_object", t) for t in (given.topology, mesh.topology))
     return left is right
 
 

@@ -37,6 +37,9 @@ from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 #: is the same on any number of ranks. With a smaller number the gap is wider, and more are marked.
 NEARLY = 0.8
 
+#: Value of entities without a tag, which is no value of a tag.
+UNTAGGED = np.iinfo(np.int64).min
+
 
 @collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
 def refine(
@@ -88,8 +91,15 @@ def refine(
         (24, 192)
     """
     check_tagged_mesh(tagged_mesh)
-    checked_number("fraction", fraction, "(0, 1]")
-    return distributed(tagged_mesh, bisected(tagged_mesh, cell_errors, fraction))
+    fraction = checked_number("fraction", fraction, "(0, 1]")
+    mesh, comm = tagged_mesh.mesh, tagged_mesh.mesh.comm
+    with errors_on_all_ranks(comm):
+        errors = checked_cell_errors(mesh, cell_errors)
+    largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
+    if largest == 0.0:
+        raise InputError("cell_errors are all zero: there is nothing to refine.")
+    marked = largest_part(comm, np.square(errors / largest), fraction)
+    return _distributed(tagged_mesh, BisectedCells.from_marked(mesh, marked))
 
 
 @dataclass(frozen=True)
@@ -161,7 +171,7 @@ class BisectedCells:
         sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
         return np.asarray(np.linalg.det(sides[:, :, : self.mesh.topology.dim]))
 
-    def inherited_facets(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
+    def inherited_facets(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int64]]:
         """Return the nodes (m, d) and tags (m,) of the facets of the cells that inherit a tag.
 
         A facet inside a tagged facet of the old `mesh` gets this tag. A facet between two cells
@@ -170,36 +180,33 @@ class BisectedCells:
         dim = mesh.topology.dim
         mesh.topology.create_connectivity(dim, dim - 1)
         facets_of_cells = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
-        value, tagged = _of_entities(facets_of_cells.max(initial=-1) + 1, tags)
-        inside = self.parent_facet < 0
-        number = np.where(inside, 0, self.parent_facet)
-        facets = np.take_along_axis(facets_of_cells[self.parent], number, axis=1)
-        cell, side = np.nonzero(~inside & tagged[facets])
+        within = self.parent_facet >= 0
+        facets = np.take_along_axis(
+            facets_of_cells[self.parent], np.where(within, self.parent_facet, 0), axis=1
+        )
+        tag = np.where(within, _tag_of_entities(mesh, tags)[facets], UNTAGGED)
+        cell, side = np.nonzero(tag != UNTAGGED)
         corners = np.arange(dim + 1) != side[:, None]
-        return self.nodes[cell][corners].reshape(-1, dim), value[facets[cell, side]]
+        return self.nodes[cell][corners].reshape(-1, dim), tag[cell, side]
 
-    def inherited_cells(self, tags: Any) -> tuple[Indices, npt.NDArray[np.int32]]:
+    def inherited_cells(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int64]]:
         """Return nodes (m, d + 1) and tags (m,) of cells with tagged parents. Not collective."""
-        value, tagged = _of_entities(int(self.parent.max(initial=-1)) + 1, tags)
-        kept = tagged[self.parent]
-        return self.nodes[kept], value[self.parent[kept]]
+        tag = _tag_of_entities(mesh, tags)[self.parent]
+        return self.nodes[tag != UNTAGGED], tag[tag != UNTAGGED]
 
 
-def _of_entities(count: int, tags: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
-    """Return the tag (n,) of each entity, 0 if untagged, and whether it is tagged (n,).
-
-    The number n is at least `count`, and large enough for all tagged entities.
-    """
-    count = max(count, int(tags.indices.max(initial=-1)) + 1)
-    value, tagged = np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.bool_)
-    value[tags.indices], tagged[tags.indices] = tags.values, True
-    return value, tagged
+def _tag_of_entities(mesh: Any, tags: Any) -> npt.NDArray[np.int64]:
+    """Return the tag of each entity of this rank, or `UNTAGGED`. Not collective."""
+    index_map = mesh.topology.index_map(tags.dim)
+    result = np.full(index_map.size_local + index_map.num_ghosts, UNTAGGED)
+    result[tags.indices] = tags.values
+    return result
 
 
 def snapped(
     cells: BisectedCells,
     facets: Indices,
-    tags: npt.NDArray[np.int32],
+    tags: npt.NDArray[np.int64],
     surfaces: Mapping[int, ExactSurface],
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
@@ -234,14 +241,11 @@ def snapped(
     held: Mask = np.zeros(len(start), dtype=np.bool_)
     points, volumes = surface, cells.volumes(start)
     while True:
-        flat = np.sign(volumes) * cells.volumes(points) < 0.1 * np.abs(volumes)
-        more = held.copy()
-        more[cells.nodes[flat]] = True
-        every = np.arange(len(more))
-        more = summed_at_nodes(index_map, every, more[:, None].astype(float))[:, 0] > 0.0
-        if reduce_array(comm, (more & ~held).sum()) == 0:
+        flat = cells.nodes[np.sign(volumes) * cells.volumes(points) < 0.1 * np.abs(volumes)]
+        corners = summed_at_nodes(index_map, flat, np.ones((*flat.shape, 1)))[:, 0] > 0.0
+        if reduce_array(comm, (corners & ~held).sum()) == 0:
             break
-        held = more
+        held |= corners
         points = np.where(held[:, None], start, surface)
     back = held & (surface != start).any(axis=1)
     count = int(reduce_array(comm, back[: index_map.size_local].sum()))
@@ -255,25 +259,7 @@ def snapped(
     return np.asarray(points)
 
 
-def bisected(
-    tagged_mesh: TaggedMesh, cell_errors: fem.Function | Array | None, fraction: float
-) -> BisectedCells:
-    """Return the cells of the refined mesh, each on the rank of its parent. Collective.
-
-    Raises:
-        InputError: the errors are of the wrong type, negative, or all zero.
-    """
-    mesh = tagged_mesh.mesh
-    with errors_on_all_ranks(mesh.comm):
-        errors = checked_cell_errors(mesh, cell_errors)
-    largest = float(reduce_array(mesh.comm, errors.max(initial=0.0), MPI.MAX))
-    if largest == 0.0:
-        raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(mesh.comm, np.square(errors / largest), float(fraction))
-    return BisectedCells.from_marked(mesh, marked)
-
-
-def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
+def _distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
     """Return the mesh of bisected cells, with tags and on curved surfaces. Collective.
 
     Args:
@@ -298,7 +284,7 @@ def distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
     )
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:
-        cell_nodes, cell_values = cells.inherited_cells(cell_tags)
+        cell_nodes, cell_values = cells.inherited_cells(mesh, cell_tags)
         cell_tags = _with_names(fine, cell_tags, numbers[cell_nodes], cell_values)
     facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
     if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
@@ -346,14 +332,12 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
             f"cell_tags, facet_tags, names), found {shown(tagged_mesh)}."
         )
     mesh = tagged_mesh.mesh
-    dim = mesh.topology.dim
-    kind = dolfinx.mesh.to_string(mesh.topology.cell_type)
-    simplex = {2: "triangles", 3: "tetrahedra"}.get(dim)
+    dim, kind = mesh.topology.dim, mesh.topology.cell_name()
     if kind not in ("triangle", "tetrahedron") or mesh.geometry.dim != dim:
         raise InputError(
             f"only meshes of triangles in the plane and of tetrahedra in space can be refined "
-            f"locally, found cells of type {kind} in {mesh.geometry.dim}D. Mesh with "
-            f"{simplex or 'triangles or tetrahedra'}: in Gmsh, leave out Recombine."
+            f"locally, found cells of type {kind} in {mesh.geometry.dim}D: in Gmsh, leave out "
+            "Recombine."
         )
     nodes = compat.geometry_dofmap(mesh).shape[1]
     if nodes != dim + 1:
@@ -371,11 +355,6 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
             raise InputError(f"{name} must be MeshTags of dimension {wanted}, found {given}.")
 
 
-def is_same(mesh: Any, other_mesh: Any) -> bool:
-    """Return whether two meshes, perhaps in different wrappers, are the same. Not collective."""
-    return other_mesh is mesh or other_mesh.topology is mesh.topology
-
-
 def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
     """Check the user's `cell_errors`, and return the errors (n,) of the cells that this rank owns.
 
@@ -388,7 +367,7 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
     count = mesh.topology.index_map(mesh.topology.dim).size_local
     if isinstance(cell_errors, fem.Function):
         V = cell_errors.function_space
-        if not is_same(mesh, V.mesh):
+        if not compat.same_topology(V.mesh, mesh):
             raise InputError("cell_errors belong to another mesh than the one to refine.")
         if V.element.basix_element.degree != 0 or V.dofmap.bs != 1:
             raise InputError(f"cell_errors must have one value in each cell, found {shown(V)}.")
@@ -415,7 +394,7 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
 
 
 def _with_names(
-    mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int32]
+    mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int64]
 ) -> Any:
     """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.
 
@@ -428,9 +407,11 @@ def _with_names(
     """
     mesh.topology.create_connectivity(old.dim, 0)
     mesh.topology.create_connectivity(old.dim, mesh.topology.dim)
-    local, values = dolfinx.io.distribute_entity_data(mesh, old.dim, entities, values)
+    local, own_values = dolfinx.io.distribute_entity_data(
+        mesh, old.dim, entities, values.astype(np.int32)
+    )
     tags = dolfinx.mesh.meshtags_from_entities(
-        mesh, old.dim, dolfinx.graph.adjacencylist(local), values.astype(np.int32, copy=False)
+        mesh, old.dim, dolfinx.graph.adjacencylist(local), own_values
     )
     if isinstance(old, NamedTags):
         tags = NamedTags(tags, old.names, geometry=old.geometry)

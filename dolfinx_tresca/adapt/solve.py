@@ -21,26 +21,23 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
 from dolfinx_tresca._base.arguments import checked_integer, checked_number
+from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import (
     agreed_observer,
     each_warning_once,
     errors_on_all_ranks,
     log,
-    reduce_array,
 )
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.adapt.refinement import (
-    bisected,
     check_tagged_mesh,
     checked_cell_errors,
-    distributed,
-    is_same,
+    refine,
 )
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError, InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
-from dolfinx_tresca.problem.process import ContactProcess
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
@@ -137,24 +134,19 @@ class AdaptiveSolution(Tabulated):
             )
 
     def _rows(self) -> list[Row]:
-        seconds = sum(level.seconds for level in self.levels)
         number = self.goal_error
         measured = "solution's norm" if number is None else f"number, {number.value:.6g}"
-        return [
+        rows = [
             ("status", f"{self.status.name}: {self.status.value}"),
             ("mesh error", f"about {self.error:.1e} of the {measured}"),
             ("requested", f"{self.accuracy:.1e}"),
-            ("seconds", f"{seconds:.1f}"),
+            ("seconds", f"{sum(level.seconds for level in self.levels):.1f}"),
             ("level", "unknowns     error  products   seconds"),
-            *(
-                (
-                    f"  {level.number}",
-                    f"{level.free_dofs:8}  {level.error:8.1e}  {level.products:8}  "
-                    f"{level.seconds:8.1f}",
-                )
-                for level in self.levels
-            ),
         ]
+        for level in self.levels:
+            numbers = f"{level.free_dofs:8}  {level.error:8.1e}  {level.products:8}"
+            rows.append((f"  {level.number}", f"{numbers}  {level.seconds:8.1f}"))
+        return rows
 
     def __repr__(self) -> str:
         return (
@@ -376,12 +368,11 @@ def solve_adaptively(
     most_dofs = checked_number("max_dofs", max_dofs, "(0, inf]")
     most_levels = checked_integer("max_levels", max_levels)
     checked_number("fraction", fraction, "(0, 1]")
-    if isinstance(after, AdaptiveSolution):
-        raise InputError(
-            "after must be a ContactSolution, found an AdaptiveSolution: take its .solution."
-        )
     if after is not None and not isinstance(after, ContactSolution):
-        raise InputError(f"after must be a ContactSolution, found {shown(after)}.")
+        raise InputError(
+            f"after must be a ContactSolution, found {shown(after)}: an AdaptiveSolution has one, "
+            "its attribute .solution."
+        )
     observe = agreed_observer(comm, observer, "a Level, such as print")
     levels: list[Level] = []
     while True:
@@ -416,13 +407,11 @@ def solve_adaptively(
             elif level.number + 1 >= most_levels:
                 status = AdaptiveStatus.MAX_LEVELS
             else:
-                cells = bisected(tagged_mesh, level.cell_errors, fraction)
-                cell_map = tagged_mesh.mesh.topology.index_map(tagged_mesh.mesh.topology.dim)
-                growth = reduce_array(comm, len(cells.parent)) / cell_map.size_global
-                if growth * level.free_dofs > most_dofs:
+                finer = refine(tagged_mesh, level.cell_errors, fraction)
+                if _cells(finer) / _cells(tagged_mesh) * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:
-                    tagged_mesh = distributed(tagged_mesh, cells)
+                    tagged_mesh = finer
             is_end = status not in (None, AdaptiveStatus.FAILED)
             if is_end and level.solution.options != options:
                 solution = problem.solve()
@@ -431,6 +420,12 @@ def solve_adaptively(
         levels.append(replace(level, seconds=_seconds(comm, start)))
         if status is not None:
             return AdaptiveSolution(status, wanted, tuple(levels))
+
+
+def _cells(tagged_mesh: TaggedMesh) -> int:
+    """Return the number of cells of all ranks. Not collective."""
+    topology = tagged_mesh.mesh.topology
+    return int(topology.index_map(topology.dim).size_global)
 
 
 def _seconds(comm: MPI.Comm, start: float) -> float:
@@ -444,14 +439,12 @@ def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
     Raises:
         InputError: the value is not a problem, or is a problem on another mesh.
     """
-    if isinstance(problem, ContactProcess) and not isinstance(problem, ContactProblem):
-        raise InputError(
-            "solve_adaptively estimates the mesh's error of linear bodies only, found a "
-            f"{type(problem).__name__}: refine the mesh by hand, and compare two solutions."
-        )
     if not isinstance(problem, ContactProblem):
-        raise InputError(f"build must return a ContactProblem, found {shown(problem)}.")
-    if not is_same(tagged_mesh.mesh, problem.mesh):
+        raise InputError(
+            f"build must return a ContactProblem, found {shown(problem)}. The mesh's error is "
+            "estimated for linear bodies only: for other ones compare solutions on two meshes."
+        )
+    if not same_topology(problem.mesh, tagged_mesh.mesh):
         raise InputError(
             "build must return a problem on the mesh that it is given, found one on another mesh, "
             "such as that of the level before: take space, forms, conditions and tags from the "

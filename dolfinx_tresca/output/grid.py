@@ -70,10 +70,8 @@ class Grid:
                 "one that goes with its VTK."
             ) from error
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
-        for name, values in self.values.items():
-            grid.point_data[name] = values
-        for name, values in self.cell_values.items():
-            grid.cell_data[name] = values
+        grid.point_data.update(self.values)
+        grid.cell_data.update(self.cell_values)
         return grid
 
 
@@ -105,16 +103,11 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
         return None
     # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
     points, cells, cell_types, *arrays = map(np.concatenate, zip(*gathered, strict=True))
-    names = [function.name for function in (*nodal, *constant)]
-    values = dict(zip(names, arrays, strict=True))
-    return Grid(
-        dim=space.mesh.geometry.dim,
-        points=points,
-        cells=cells,
-        cell_types=cell_types,
-        values={function.name: values.pop(function.name) for function in nodal},
-        cell_values=values,
+    values, cell_values = (
+        dict(zip([function.name for function in group], of_group, strict=True))
+        for group, of_group in ((nodal, arrays[: len(nodal)]), (constant, arrays[len(nodal) :]))
     )
+    return Grid(space.mesh.geometry.dim, points, cells, cell_types, values, cell_values)
 
 
 def is_constant_in_cells(function: fem.Function) -> bool:
@@ -151,8 +144,7 @@ def blocks_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, list[f
         InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
             mesh, or has a name that is in use; or `fields` is a single field.
     """
-    if not all(hasattr(solution, name) for name in ("u", "surfaces", "cell_errors")):
-        raise InputError(f"solution must be what solve() has returned, found {shown(solution)}.")
+    check_solution(solution)
     u, surfaces = solution.u, solution.surfaces
     if isinstance(fields, fem.Function | MeshTags):
         raise InputError(f"fields must be a sequence: write [field] for '{fields.name}' alone.")
@@ -166,6 +158,16 @@ def blocks_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, list[f
         name = "contact" if len(surfaces) == 1 else surface.name
         blocks[_unused_name(name, blocks, i + 1)] = list(surface.functions)
     return blocks
+
+
+def check_solution(solution: Any) -> None:
+    """Check that a solution is one. Not collective.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not isinstance(solution, Evaluation):
+        raise InputError(f"solution must be what solve() has returned, found {shown(solution)}.")
 
 
 def _unused_name(name: str, taken: Container[str], number: int) -> str:
@@ -215,7 +217,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
         function.x.array[field.indices] = field.values
         return function
     V = field.function_space
-    if V.mesh.topology is not mesh.topology:
+    if not same_topology(V.mesh, mesh):
         raise InputError(f"'{field.name}' lives on another mesh than the displacement.")
     try:
         element = V.element.basix_element

@@ -19,13 +19,11 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem
-
 from dolfinx_tresca._base.agreement import collective, comm_of
 from dolfinx_tresca._base.atomic_write import atomic_write, file_named_in_errors
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.output.grid import ROOT, Field, Grid, blocks_of, gather_grid
+from dolfinx_tresca.output.grid import ROOT, Field, Grid, blocks_of, check_solution, gather_grid
 from dolfinx_tresca.solution.evaluation import Evaluation
 
 #: Names and colours of the states, which ParaView's colour map editor imports: blue for stick,
@@ -86,9 +84,9 @@ def write(path: str | Path, solution: Evaluation, *, fields: Sequence[Field] = (
         InputError: the suffix is unknown, a field is of another kind or has a name that is taken,
             or the file cannot be written.
     """
-    blocks = blocks_of(solution, fields)
+    check_solution(solution)
     path = solution.u.function_space.mesh.comm.bcast(str(path), root=ROOT)
-    SolutionWriter(path)._add_step(solution, blocks, 0.0)
+    SolutionWriter(path).write(solution, 0.0, fields=fields)
 
 
 @collective(_comm_of_solution)
@@ -173,41 +171,33 @@ class SolutionWriter:
                 f"found {time!r}."
             )
         self._path = Path(path)
-        self._add_step(solution, blocks, float(time))
-        self._latest_time = float(time)
-
-    def _add_step(
-        self, solution: Evaluation, blocks: Mapping[str, Sequence[fem.Function]], time: float
-    ) -> None:
-        """Write a step to a new folder, and then an index with this step. Collective.
-
-        Until the index replaces the old one, all files of the older steps are as they were.
-
-        Raises:
-            InputError: a file cannot be written, or the existing series cannot be continued.
-        """
-        comm: MPI.Comm = solution.u.function_space.mesh.comm
         grids = {name: gather_grid(functions) for name, functions in blocks.items()}
         with errors_on_all_ranks(comm), file_named_in_errors(self._path):
             if comm.rank == ROOT:
-                older = self._series or []
-                if self._series is None and self._append and self._path.exists():
-                    older = [data for data in read_pvd(self._path) if data.time < time]
-                self._write_step(older, time, grids)
+                self._write_step(float(time), grids)
+        self._latest_time = float(time)
 
-    def _write_step(
-        self, older: Sequence[DataSet], time: float, grids: Mapping[str, Grid | None]
-    ) -> None:
-        """Write the grids of a step and the index of all steps. Not collective.
+    def _write_step(self, time: float, grids: Mapping[str, Grid | None]) -> None:
+        """Write the grids of a step to a new folder, and then an index with this step.
 
-        After the first step, remove other steps: those of an older series, and what a killed run
-        has left.
+        Until the index replaces the old one, all files of the older steps are as they were. After
+        the first step, remove other steps: those of an older series, and what a killed run has
+        left. Not collective.
+
+        Raises:
+            OSError: a file cannot be written.
+            InputError: the existing series cannot be continued.
         """
+        if self._series is not None:
+            series = list(self._series)
+        elif self._append and self._path.exists():
+            series = [data for data in read_pvd(self._path) if data.time < time]
+        else:
+            series = []
         steps = self._path.with_suffix("")
         folders = (steps / f"{i:04}" for i in itertools.count())
         folder = next(folder for folder in folders if not folder.exists())
         folder.mkdir(parents=True)
-        series = [*older]
         try:
             for name, grid in grids.items():
                 assert grid is not None  # on this rank
@@ -229,9 +219,8 @@ class SolutionWriter:
 
 def _remove_grids(folder: Path) -> None:
     """Remove the files of a step, and its folder if it is empty then. Not collective."""
-    for pattern in ("*.vtu", "*.pvtu"):  # earlier versions wrote .pvtu
-        for file in folder.glob(pattern):
-            file.unlink(missing_ok=True)
+    for file in folder.glob("*.vtu"):
+        file.unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()
 

@@ -138,36 +138,21 @@ def draw_bar(panel: Any, name: str, unit: str, cmap: str, limits: Sequence[float
     from matplotlib.colors import Normalize
 
     low, high, largest = limits
-    factor, label = scaled(name, unit, high)
-    peak = f", at most {quantity(largest, unit)}" if largest > high else ""
     width, _ = size_of(panel)
     axes = axes_at(panel, 0.27 * width, 0.42, 0.58 * width, 0.12)
-    panel.colorbar(
-        ScalarMappable(Normalize(low / factor, high / factor), cmap), cax=axes, label=label + peak,
-        orientation="horizontal", extend="max" if peak else "neither",
-    )  # fmt: skip
+    label, extend = labelled(name, unit), "neither"
+    if largest > high:
+        label, extend = f"{label}, at most {largest:.3g}", "max"
+    colours = ScalarMappable(Normalize(low, high), cmap)
+    panel.colorbar(colours, cax=axes, label=label, orientation="horizontal", extend=extend)
     axes.tick_params(width=0.6, length=2.5, pad=2.0)
     axes.locator_params(nbins=5)
     axes.xaxis.labelpad = 1.5
 
 
-def scaled(name: str, unit: str, largest: float) -> tuple[float, str]:
-    """Return a divisor of values, and a label such as "slip [10⁻⁶ m]".
-
-    The divisor is 1 if the largest absolute value is from 0.02 to 9999, else a power of thousand.
-    """
-    plain = largest == 0.0 or 0.02 <= largest < 10_000.0
-    power = 0 if plain else 3 * math.floor(math.log10(largest * (1.0 + 1e-12)) / 3.0)
-    ten = "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    inside = f"{ten if power else ''} {unit}".strip()
-    return 10.0**power, f"{name} [{inside}]" if inside else name
-
-
-def quantity(value: float, unit: str) -> str:
-    """Return a value of at least 0 with three digits and its unit, such as "18.9 · 10⁻⁶ m"."""
-    factor, label = scaled("", unit, value)
-    number = f"{value / factor:.0f}" if value >= 99.95 * factor else f"{value / factor:.3g}"
-    return f"{number}{' ·' if factor != 1.0 else ''} {label.strip(' []')}".strip()
+def labelled(name: str, unit: str) -> str:
+    """Return a label such as "slip [mm]", or the name alone without a unit."""
+    return f"{name} [{unit}]" if unit else name
 
 
 def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
@@ -225,21 +210,16 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
         title += "" if contact.label else ": traction and slip positive along it"
     if values["sticks"].any():
         legend.append(handle("sticks", "black", "o"))
-    curves = unrolled(contact.grid)
-    divisor, arc_label = scaled("arc length", length, float(curves[-1][1][-1]))
     width, height = size_of(panel)
     places = {"left": 0.65 / width, "right": 1.0 - 0.25 / width, "hspace": 0.14}
     places |= {"bottom": 0.5 / height, "top": 1.0 - (HEADER + 0.05) / height}
     rows = {"height_ratios": (0.64, 0.36)[: len(charts)], "gridspec_kw": places}
     all_axes = panel.subplots(len(charts), sharex=True, squeeze=False, **rows)[:, 0]
     for axes, (names, label, unit) in zip(all_axes, charts, strict=True):
-        largest = max(float(np.abs(values[name]).max()) for name in names)
-        factor, text = scaled(label, unit, largest)
-        for nodes, arc, directions in curves:
-            s = arc / divisor
+        for nodes, s, directions in unrolled(contact.grid):
             sticks = values["sticks"][nodes] > 0.0
             for name in names:
-                y = values[name][nodes] / factor
+                y = values[name][nodes]
                 y = y if y.ndim == 1 else np.sum(y * directions, axis=1)
                 colour = CURVE_COLOUR if name == "pressure" else TANGENT_COLOUR
                 axes.plot(s, y, color=colour, linewidth=1.6, marker=".", markersize=5)
@@ -247,11 +227,11 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
                     axes.fill_between(s, y, color=colour, alpha=0.15, lw=0)
                 elif name == "traction":
                     axes.plot(s[sticks], y[sticks], "o", color="black", markersize=5, zorder=3)
-        axes.set_ylabel(text)
+        axes.set_ylabel(labelled(label, unit))
         axes.locator_params(nbins=5)
         axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
         axes.margins(x=0.02)
         axes.spines[["top", "right"]].set_visible(False)
-    all_axes[-1].set_xlabel(arc_label)
+    all_axes[-1].set_xlabel(labelled("arc length", length))
     panel.align_ylabels(all_axes)
     write_header(panel, title, legend)

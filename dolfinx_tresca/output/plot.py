@@ -28,6 +28,12 @@ from dolfinx_tresca.units import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
 
+#: The style of matplotlib in pictures; axes write powers of ten as in "10⁻⁶".
+STYLE = (
+    "default",
+    {"font.size": 9.0, "axes.formatter.use_mathtext": True, "axes.formatter.limits": (-3, 4)},
+)
+
 #: The environment variable by which VTK 9.5 and later choose the kind of window.
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 
@@ -111,7 +117,7 @@ def plot(
             ) from error
         picture = io.BytesIO()
         kind = suffix[1:]
-        with matplotlib.style.context(["default", {"font.size": 9.0}]), display_for_pictures():
+        with matplotlib.style.context(STYLE), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
             figure.savefig(picture, format=kind, dpi=views.DPI)
         if name is None:

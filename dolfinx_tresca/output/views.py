@@ -49,20 +49,17 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     theme.allow_empty_mesh, theme.show_scalar_bar = True, False
     with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
-        points = np.concatenate([mesh.points for mesh in plotter.meshes])
         right = np.cross(up, normal)
-        directions = np.array([right, np.cross(normal, right), normal])
+        directions = np.array([right, np.cross(normal, right)])
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        low, high = (points @ directions.T).min(axis=0), (points @ directions.T).max(axis=0)
+        points = np.concatenate([mesh.points for mesh in plotter.meshes])
+        across, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
         width, height = panels.size_of(panel)
         height -= panels.HEADER + panels.FOOTER
-        spans, centre = high - low, 0.5 * (low + high) @ directions
-        half = 0.5 * max(float(spans[1]) / 0.96, float(spans[0]) / 0.92 * height / width) or 1.0
-        eye = centre + 2.0 * max(plotter.length, half) * directions[2]
         plotter.enable_parallel_projection()
-        plotter.camera_position = [tuple(eye), tuple(centre), tuple(directions[1])]
-        plotter.camera.parallel_scale = half
-        plotter.renderer.reset_camera_clipping_range()
+        plotter.view_vector(normal, viewup=up)
+        half_height = max(upward / 0.96, across / 0.92 * height / width)
+        plotter.camera.parallel_scale = half_height or 1.0
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
@@ -72,8 +69,8 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     shape = {"arrowstyle": "<|-", "mutation_scale": 5, "lw": 0.8, "shrinkA": 1, "shrinkB": 0}
     arrow = {"ha": "center", "va": "center", "fontsize": 8, "arrowprops": shape}
     arrow |= {"xycoords": "subfigure points", "textcoords": "offset points"}
-    start = 16.0 - 21.0 * np.minimum(directions[:2].min(axis=1), 0.0)
-    for name, end in zip("xyz", 21.0 * directions[:2].T, strict=True):
+    start = 16.0 - 21.0 * np.minimum(directions.min(axis=1), 0.0)
+    for name, end in zip("xyz", 21.0 * directions.T, strict=True):
         if np.linalg.norm(end) > 4.0:
             view.annotate(name, start, end, annotation_clip=False, **arrow)
 
@@ -298,7 +295,7 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
             arrows = surface.translate(3.0 * lift).glyph(orient="slip", **scale)
             colours = {"scalars": "pressed", "cmap": ["#707070", "black"], "clim": (0.0, 1.0)}
             plotter.add_mesh(arrows, lighting=False, **colours)
-            text = f"{contact.slip_name}, at most {panels.quantity(largest, length)}"
+            text = f"{contact.slip_name}, at most {largest:.3g} {length}".rstrip()
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
         if (values["sticks"] > 0.0).any():
             places = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)

@@ -23,11 +23,9 @@ from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields, contact_states
 from dolfinx_tresca.solution.forces import (
     Resultant,
-    forces_on_secondary,
     nodal_resultants,
     resultants_between,
     resultants_on,
-    shares_of_bodies,
 )
 from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
@@ -145,9 +143,10 @@ def evaluate(
     w = in_frames if B.frames is None else B.frames.displacement(in_frames)
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
-    jump, closings, by_tools = B.of_unknowns(solved), B.closings(u), dual.jump_of_tools(c)
-    for closing, operators, (n, _) in zip(closings, B.pairs, B.slices, strict=True):
-        closing[operators.normal_node] += (by_tools * B.length_scale)[n]
+    jump, by_tools = B.of_unknowns(solved), dual.jump_of_tools(c)
+    normal = np.concatenate([np.arange(rows.start, rows.stop) for rows, _ in B.slices])
+    closing = np.concatenate(B.closings(u))
+    closing[B.row_nodes[normal]] += (by_tools * B.length_scale)[normal]
     increment = jump + by_tools - response.offset
     origin = dual.history.origin.copy()  # the next step starts from where tools are now
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
@@ -162,46 +161,42 @@ def evaluate(
     increment, moved_by = (values * B.length_scale for values in (increment, slip))
 
     change, _ = dual.local_change(solution.multipliers, r)
-    at_nodes = node_values(dual, stress, moved, target, moved_by, change)
-    steps, before = np.concatenate(at_nodes.steps), np.concatenate(at_nodes.before)
-    state, closing = np.concatenate(at_nodes.states), np.concatenate(closings)
+    at_nodes = node_values(dual, stress, normal, moved, target, moved_by, change)
+    pairs = B.by_pair
     fields: list[SurfaceFields] = []
-    force = np.zeros(1 + u.function_space.mesh.geometry.dim)
-    acting: list[tuple[Array, Array, Indices]] = []
-    shares: list[tuple[Array, Array, Indices]] = []
     pair_states: list[PairState] = []
-    for acts, surface in zip(B.by_pair, surfaces, strict=True):
-        operators, nodes = acts.operators, acts.nodes
-        since = operators.tangential_vectors(increment[acts.tangential])
-        tractions = stress[acts.normal], stress[acts.tangential]
-        pressure = np.zeros(len(nodes))
-        pressure[operators.normal_node] = tractions[0]
+    forces: list[Array] = []
+    force = np.zeros(1 + u.function_space.mesh.geometry.dim)  # normal, and tangential vector
+    for pair, surface in zip(pairs, surfaces, strict=True):
+        operators, nodes = pair.operators, pair.nodes
+        pressure, state = np.zeros(len(nodes)), at_nodes.state[nodes]
+        pressure[operators.normal_node] = stress[pair.normal]
         values = {
             "pressure": pressure,
             "gap": operators.gap - closing[nodes],
             "initial_gap": operators.gap,
-            "state": state[nodes],
+            "state": state,
             "normal": operators.normals,
         }
+        traction = operators.tangential_vectors(stress[pair.tangential])
         if reduce_array(comm, len(operators.tangent_node)) > 0:
-            values["traction"] = operators.tangential_vectors(tractions[1])
-            values["slip"] = before[nodes, :-1] + since
-            values["slip_path"] = before[nodes, -1] + steps[nodes, -1]
+            since = operators.tangential_vectors(increment[pair.tangential])
+            values["traction"] = traction
+            values["slip"] = at_nodes.before[nodes, :-1] + since
+            values["slip_path"] = at_nodes.before[nodes, -1] + at_nodes.steps[nodes, -1]
             if dual.history.begun:
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
-        is_pressed = state[nodes] >= ContactState.PRESSED
+        is_pressed = state >= ContactState.PRESSED
         pressed_nodes, number = reduce_array(comm, [int(is_pressed.sum()), len(nodes)])
         opened = (values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0)
         opening = float(reduce_array(comm, opened, MPI.MAX))
         pair_states.append(PairState(int(pressed_nodes), int(number), opening))
-        on_nodes = forces_on_secondary(operators, *tractions)
-        index = np.full(len(on_nodes), len(acting), dtype=np.intp)
-        acting.append((operators.places, on_nodes, index))
-        shares.append(shares_of_bodies(u.function_space, bodies.label, operators, on_nodes))
-        force[0] += operators.weights[operators.normal_node] @ tractions[0]
-        force[1:] += (operators.weights[operators.tangent_node] * tractions[1]) @ operators.tangents
-    history = replace(dual.history, origin=origin).after(B, slip, at_nodes.steps, dissipation)
+        force += operators.weights @ np.column_stack([pressure, traction])
+        vectors = pressure[:, None] * operators.normals + traction
+        forces.append(-operators.weights[:, None] * vectors)
+    steps = np.split(at_nodes.steps, np.cumsum([len(pair.nodes) for pair in B.pairs])[:-1])
+    history = replace(dual.history, origin=origin).after(B, slip, steps, dissipation)
     resultant = reduce_array(comm, force)
     primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
     if B.frames is not None:
@@ -223,6 +218,9 @@ def evaluate(
     displaced = u if B.frames is not None or B.system.is_tangent else None
     nodal = owned_values(force_on_nodes)
     on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
+    on_nodes, operators_of_pairs = np.concatenate(forces), [pair.operators for pair in pairs]
+    places = np.concatenate([operators.places for operators in operators_of_pairs])
+    pair_of_node = np.repeat(np.arange(len(pairs)), list(map(len, forces)))
     evaluation = Evaluation(
         u=u,
         w=w,
@@ -244,10 +242,14 @@ def evaluate(
         counts=at_nodes.counts,
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
-        pair_resultants=resultants_on(comm, acting, len(acting), on_bodies[0].point),
+        pair_resultants=resultants_on(
+            comm, places, on_nodes, pair_of_node, len(pairs), on_bodies[0].point
+        ),
         pair_states=tuple(pair_states),
         body_resultants=on_bodies,
-        between_bodies=resultants_between(comm, shares),
+        between_bodies=resultants_between(
+            u.function_space, bodies.label, operators_of_pairs, on_nodes
+        ),
         body_names=bodies.names,
         peak_pressure=at_nodes.peak_pressure,
         greatest_slip=at_nodes.greatest_slip,
@@ -258,10 +260,10 @@ def evaluate(
 
 
 class NodeValues(NamedTuple):
-    """Values of a solution at the nodes of each pair, their counts and extremes on all ranks.
+    """Values of a solution at the nodes of all pairs, their counts and extremes on all ranks.
 
     Attributes:
-        states: (n,) values of `ContactState` of each pair.
+        state: (n,) values of `ContactState`.
         steps: (n, d + 1) slip vectors and lengths of this step [length].
         before: (n, d + 1) slip vectors and lengths of paths of earlier steps [length].
         counts: numbers of nodes in each state.
@@ -270,9 +272,9 @@ class NodeValues(NamedTuple):
         greatest_total_slip: the longest path of the slip at pressed nodes [length].
     """
 
-    states: list[Array]
-    steps: list[Array]
-    before: list[Array]
+    state: Array
+    steps: Array
+    before: Array
     counts: NodeCounts
     peak_pressure: float
     greatest_slip: float
@@ -282,6 +284,7 @@ class NodeValues(NamedTuple):
 def node_values(
     dual: DualProgram,
     stress: Array,
+    normal: Indices,
     moved: FeasibleSet,
     target: Array,
     moved_by: Array,
@@ -292,40 +295,43 @@ def node_values(
     Args:
         dual: the dual problem.
         stress: (size,) multipliers [stress].
+        normal: positions of the normal multipliers of all pairs.
         moved: feasible set at each node's own minimiser, see `DualProgram.decoupled_minimiser`.
         target: (size,) the minimisers.
         moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
         change: largest change of a node's tractions that the iteration leaves [stress].
     """
-    B, stick = dual.jump, moved.face(target).stick
-    undecided = discs_at_edge(moved, target, B.stress_scale, change)
-    rubbing, (bonded, pressed) = moved.radius > 0.0, np.zeros((2, len(stick)), dtype=np.bool_)
+    B, node = dual.jump, dual.jump.row_nodes[normal]
+    numbers = [len(pair.nodes) for pair in B.pairs]
+    bonded = np.repeat([pair.bonded for pair in B.pairs], numbers)
     tangential_rows = reduce_array(B.comm, [len(pair.tangent_node) for pair in B.pairs])
-    states: list[Array] = []
-    steps: list[Array] = []
-    before: list[Array] = []
-    greatest: Array = np.zeros(3)
-    for operators, slipped, own, rows, (n, t) in zip(
-        B.pairs, dual.history.slipped, B.nodes, tangential_rows, B.slices, strict=True
-    ):
-        bonded[own] = operators.bonded
-        # strict inequality: a node without gap and without load is not pressed
-        pressed[own][operators.normal_node] = operators.bonded | (target[n] > 0.0)
-        undecided[own][operators.normal_node] |= np.abs(target[n] * B.stress_scale[n]) < change
-        states.append(contact_states(operators, rows > 0, pressed[own], stick[own], rubbing[own]))
-        vectors = operators.tangential_vectors(moved_by[t])
-        lengths = np.linalg.norm(vectors, axis=1)
-        counted = np.where(pressed[own] | rubbing[own], lengths, 0.0)
-        steps.append(np.column_stack([vectors, counted]))
-        before.append(slipped[operators.nodes])
-        paths = before[-1][:, -1] + counted
-        largest = (values[pressed[own]].max(initial=0.0) for values in (lengths, paths))
-        greatest = np.maximum(greatest, [stress[n].max(initial=0.0), *largest])
-    kinds = np.array([pressed, stick, pressed & stick, ~pressed & ~rubbing, undecided]) & ~bonded
+    has_friction = np.repeat(tangential_rows > 0, numbers)
+    nodes = slice(len(bonded))  # the discs of nodes; further discs belong to frictionless rows
+    sticks, rubs = moved.face(target).stick[nodes], moved.radius[nodes] > 0.0
+    pressed = np.zeros(len(bonded), dtype=np.bool_)
+    # strict inequality: a node without gap and without load is not pressed
+    pressed[node] = bonded[node] | (target[normal] > 0.0)
+    undecided = discs_at_edge(moved, target, B.stress_scale, change)[nodes]
+    undecided[node] |= np.abs(target * B.stress_scale)[normal] < change
+
+    of_pairs = list(zip(B.pairs, B.slices, dual.history.slipped, strict=True))
+    vectors = np.vstack([pair.tangential_vectors(moved_by[t]) for pair, (_, t), _ in of_pairs])
+    before = np.vstack([slipped[pair.nodes] for pair, _, slipped in of_pairs])
+    lengths = np.linalg.norm(vectors, axis=1)
+    counted = np.where(pressed | rubs, lengths, 0.0)
+    paths = before[:, -1] + counted
+    at_pressed = stress[normal], lengths[pressed], paths[pressed]
+    largest = [values.max(initial=0.0) for values in at_pressed]
+    kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
-    numbers = reduce_array(B.comm, [len(stick), *counts, bonded.sum(), doubtful])
-    extremes = map(float, reduce_array(B.comm, greatest, MPI.MAX))
-    return NodeValues(states, steps, before, NodeCounts(*map(int, numbers)), *extremes)
+    sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
+    return NodeValues(
+        contact_states(bonded, has_friction, pressed, sticks, rubs),
+        np.column_stack([vectors, counted]),
+        before,
+        NodeCounts(*map(int, sums)),
+        *map(float, reduce_array(B.comm, largest, MPI.MAX)),
+    )
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:

@@ -20,12 +20,10 @@ from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.functions import nodes_of_vertices, zero_like
-from dolfinx_tresca._base.parallel import exchange
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.pieces import bounding_box
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -266,26 +264,6 @@ class Surface:
         across = ContactOperators(V, operators, self.pair)
         return across.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
 
-    def weights(self, nodes: LocalNumbers, weights: Array) -> Array:
-        """Return the area (n,) of each node of the surface, zero at ghosts. Collective.
-
-        Args:
-            nodes: (m,) nodes of V; on sharp edges a node occurs once for each patch.
-            weights: (m,) areas of these nodes.
-        """
-        unique, position = np.unique(nodes, return_inverse=True)
-        sums = np.bincount(position, weights, minlength=len(unique)).astype(np.float64)
-        areas: Array = self.function("weights", unique, sums).x.array
-        areas[self.scalar.function_space.dofmap.index_map.size_local :] = 0.0
-        return areas
-
-    def displacement(self, u: fem.Function) -> fem.Function:
-        """Return u at the nodes of the surface. Not collective."""
-        function = zero_like(self.vector, u.name)
-        dim = self.mesh.geometry.dim
-        function.x.array[:] = u.x.array.reshape(-1, dim)[self.parent].ravel()
-        return function
-
     def fields(
         self, operators: PairOperators, u: fem.Function, values: Mapping[str, Array]
     ) -> SurfaceFields:
@@ -303,11 +281,18 @@ class Surface:
             name: self.function(name, operators.nodes, array) for name, array in values.items()
         }
         functions.setdefault("slip_increment", functions["slip"])
+        displacement, V = zero_like(self.vector, u.name), u.function_space
+        moved = u.x.array.reshape(-1, V.dofmap.index_map_bs)
+        displacement.x.array[:] = moved[self.parent].ravel()
+        owned = V.dofmap.index_map.size_local
+        areas = np.bincount(operators.nodes, operators.weights, owned).astype(np.float64)
+        weights = self.function("weights", np.arange(owned, dtype=np.int32), areas).x.array
+        weights[self.scalar.function_space.dofmap.index_map.size_local :] = 0.0  # ghosts
         return SurfaceFields(
             name=str(self.pair),
             mesh=self.mesh,
-            displacement=self.displacement(u),
-            weights=self.weights(operators.nodes, operators.weights),
+            displacement=displacement,
+            weights=weights,
             obstacle=copy(self.pair.obstacle),
             slides_far=self.pair.sliding == "finite",
             entity_maps=self.entity_maps,
@@ -317,24 +302,27 @@ class Surface:
 
 
 def contact_states(
-    operators: PairOperators, has_friction: bool, pressed: Mask, sticking: Mask, rubbing: Mask
+    bonded: Mask, has_friction: Mask, pressed: Mask, sticking: Mask, rubbing: Mask
 ) -> Array:
-    """Return the values (n,) of `ContactState` at the nodes of a pair. Not collective.
+    """Return the values (n,) of `ContactState` at nodes. Not collective.
 
     Args:
-        operators: operators of the pair.
-        has_friction: whether there is friction at any node, on any rank.
+        bonded: (n,) True at nodes of bonded pairs.
+        has_friction: (n,) True at nodes of pairs with friction at any node, on any rank.
         pressed: (n,) True at pressed nodes.
         sticking: (n,) True where the traction is below the slip bound.
         rubbing: (n,) True where the slip bound is positive, so that open nodes stick or slip.
     """
-    if operators.bonded:
-        return np.full(len(pressed), float(ContactState.BONDED))
-    if not has_friction:
-        return np.where(pressed, float(ContactState.PRESSED), float(ContactState.OPEN))
-    closed = np.where(sticking, ContactState.STICK, ContactState.SLIP)
-    opened = np.where(sticking, ContactState.OPEN_STICK, ContactState.OPEN_SLIP)
-    return np.where(pressed, closed, np.where(rubbing, opened, ContactState.OPEN)).astype(float)
+    conditions = {
+        ContactState.BONDED: bonded,
+        ContactState.STICK: has_friction & pressed & sticking,
+        ContactState.SLIP: has_friction & pressed,
+        ContactState.PRESSED: pressed,
+        ContactState.OPEN_STICK: has_friction & rubbing & sticking,
+        ContactState.OPEN_SLIP: has_friction & rubbing,
+    }
+    states = [float(state) for state in conditions]
+    return np.select(list(conditions.values()), states, float(ContactState.OPEN))
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
@@ -368,29 +356,18 @@ def _slips_at(fields: SurfaceFields, points: Array) -> Array:
     corners = V.tabulate_dof_coordinates()[V.dofmap.list]
     edges = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3)
     reach = comm.allreduce(edges.max(initial=0.0), op=MPI.MAX)
-    near = []
-    for box in comm.allgather(bounding_box(corners.reshape(-1, 3))):
-        outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
-        near.append(np.flatnonzero(np.linalg.norm(outside, axis=1) <= reach))
-    asked = np.concatenate(near)
-    ranks = np.repeat(np.arange(comm.size), [len(points_near) for points_near in near])
-    questions, source = exchange(comm, points[asked], ranks)
-    answers, _ = exchange(comm, _on_nearest_facets(fields, questions), source)
-
-    # keep the answer of the rank with the nearest facet
-    order = np.lexsort((answers[:, 0], asked))
-    asked, nearest = np.unique(asked[order], return_index=True)
-    answers = answers[order][nearest]
-    close = answers[:, 0] <= reach
-    result = np.zeros((len(points), answers.shape[1] - 1))
-    result[asked[close]] = answers[close, 1:]
-    return result
+    asked = comm.allgather(points)
+    answers = _on_nearest_facets(fields, np.concatenate(asked))
+    ends = np.cumsum([len(points_of_rank) for points_of_rank in asked])
+    of_ranks = np.array(comm.alltoall(np.split(answers, ends[:-1])))
+    nearest = of_ranks[of_ranks[:, :, 0].argmin(axis=0), np.arange(len(points))]
+    return np.where(nearest[:, :1] <= reach, nearest[:, 1:], 0.0)
 
 
 def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
     """Return distance, slip vector and path (n, d + 2) at the points of facets nearest to points.
 
-    The facets are those of this rank; without any, distances are infinite. Collective.
+    The facets are those of this rank; without any, distances are infinite. Not collective.
 
     Args:
         fields: fields of a solution on any mesh, with friction.
@@ -398,15 +375,11 @@ def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
     """
     mesh, V = fields.mesh, fields.pressure.function_space
     assert fields.slip is not None and fields.slip_path is not None
-    carries = fields.state.x.array != ContactState.OUTSIDE
-    slips = fields.slip.x.array.reshape(-1, mesh.geometry.dim)
-    values = np.column_stack([carries, slips, fields.slip_path.x.array]) * carries[:, None]
-    facets = np.flatnonzero(carries[V.dofmap.list].any(axis=1)).astype(np.int32)
-    result = np.zeros((len(points), values.shape[1]))
-    result[:, 0] = np.inf
-    function = fem.Function(V)
+    carries = zero_like(fields.pressure, "carries")
+    carries.x.array[:] = fields.state.x.array != ContactState.OUTSIDE
+    facets = np.flatnonzero(carries.x.array[V.dofmap.list].any(axis=1)).astype(np.int32)
     if len(points) == 0 or len(facets) == 0:
-        return result
+        return np.full((len(points), mesh.geometry.dim + 2), np.inf)
     trees = (
         dolfinx.geometry.bb_tree(mesh, mesh.topology.dim, entities=facets),
         dolfinx.geometry.create_midpoint_tree(mesh, mesh.topology.dim, facets),
@@ -417,11 +390,9 @@ def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
         dolfinx.geometry.compute_distance_gjk(facet, point[None])
         for facet, point in zip(corners, points, strict=True)
     ]
-    interpolated = np.zeros_like(result)
-    for column, nodal in zip(interpolated.T, values.T, strict=True):
-        function.x.array[:] = nodal
-        column[:] = function.eval(points + away, cells).ravel()
-    share = interpolated[:, :1]
-    result[:, 1:] = interpolated[:, 1:] / np.where(share > 0.0, share, 1.0)
-    result[:, 0] = np.linalg.norm(away, axis=1)
-    return result
+    share, slip, path = (
+        function.eval(points + away, cells).reshape(len(points), -1)
+        for function in (carries, fields.slip, fields.slip_path)
+    )
+    slips = np.hstack([slip, path]) / np.where(share > 0.0, share, 1.0)
+    return np.column_stack([np.linalg.norm(away, axis=1), slips])

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import vstack
 
 import ufl
 from dolfinx import fem
@@ -19,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
-from dolfinx_tresca._base.parallel import gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -88,18 +89,18 @@ def centre_of_forces(comm: Any, places: Array, forces: Array) -> Array:
 
 
 def resultants_on(
-    comm: Any, groups: Sequence[tuple[Array, Array, Indices]], number: int, point: Array
+    comm: Any, places: Array, forces: Array, index: Indices, number: int, point: Array
 ) -> tuple[Resultant, ...]:
-    """Return resultants about a point. Collective.
+    """Return resultants of forces about a point. Collective.
 
     Args:
         comm: communicator of the mesh.
-        groups: groups of this rank's forces: points of application (n, d) [length], forces (n, d),
-            and the index (n,) of the resultant to which each force belongs.
+        places: (n, d) points of application of this rank's forces [length].
+        forces: (n, d) the forces.
+        index: (n,) the index of the resultant to which each force belongs.
         number: number of resultants.
         point: (d,) reference point of the moments [length].
     """
-    places, forces, index = (np.concatenate(column) for column in zip(*groups, strict=True))
     both = np.hstack([forces, moments(places - point, forces)])
     sums = np.zeros((number, both.shape[1]))
     np.add.at(sums, index, both)
@@ -126,82 +127,48 @@ def nodal_resultants(
     if displaced is not None:
         places = places + owned_values(displaced)
     centre = centre_of_forces(comm, places, rows)
-    return resultants_on(comm, [(places, rows, index)], number, centre)
+    return resultants_on(comm, places, rows, index, number, centre)
 
 
-def forces_on_secondary(operators: PairOperators, pressure: Array, traction: Array) -> Array:
-    """Return the contact forces (n, d) on the nodes of a pair's secondary side. Not collective.
+def resultants_between(
+    V: Any, label: npt.NDArray[np.int64], pairs: Sequence[PairOperators], forces: Array
+) -> dict[tuple[int, int], Resultant]:
+    """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
-    Args:
-        operators: operators of the pair.
-        pressure: (n_normal,) pressures [stress].
-        traction: (n_tangential,) tangential multipliers [stress].
-    """
-    weights, forces = operators.weights, np.zeros_like(operators.normals)
-    i, j = operators.normal_node, operators.tangent_node
-    forces[i] -= (weights[i] * pressure)[:, None] * operators.normals[i]
-    np.subtract.at(forces, j, (weights[j] * traction)[:, None] * operators.tangents)
-    return forces
-
-
-def shares_of_bodies(
-    V: Any, label: npt.NDArray[np.int64], operators: PairOperators, forces: Array
-) -> tuple[Array, Array, Indices]:
-    """Split the forces on secondary nodes into one part for each body that exerts them. Collective.
+    Forces of obstacles, and forces within a body, are left out. Moments are about the mean of the
+    points at which the forces between the two bodies act, weighted by the sizes of the forces.
 
     Args:
         V: the space of the displacement.
         label: (owned nodes of V,) the body of each node.
-        operators: operators of the pair.
-        forces: (n, d) contact forces on the nodes of the secondary side [force].
-
-    Returns:
-        Points of application (m, d) [length], forces (m, d), and the bodies (m, 2): the node's
-        body, and the body that exerts the force. Forces of obstacles, and forces within a body, are
-        left out.
+        pairs: the operators of the pairs.
+        forces: (n, d) contact forces on the secondary nodes of all pairs [force].
     """
-    primary = operators.primary.tocsr()
-    numbers, column = np.unique(primary.indices, return_inverse=True)
-    partner = labels_of(V, label, numbers.astype(np.int64))[column]
-    node = np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
-    body = label[operators.nodes[node]]
-    foreign = body != partner
-    node, share = node[foreign], primary.data[foreign]
-    both = np.column_stack([body, partner])[foreign]
-    return operators.places[node], share[:, None] * forces[node], both
+    comm, dim = V.mesh.comm, V.mesh.geometry.dim
+    # opposite primary nodes exert a share of the force on a secondary node
+    shares = vstack([pair.primary for pair in pairs], format="coo")
+    secondary = np.concatenate([pair.nodes for pair in pairs])[shares.row]
+    partners, column = np.unique(shares.col, return_inverse=True)
+    on, by = label[secondary], labels_of(V, label, partners.astype(np.int64))[column]
+    on_lower = (np.sign(by - on) * shares.data)[:, None] * forces[shares.row]
+    places = np.concatenate([pair.places for pair in pairs])[shares.row]
+    sizes = np.linalg.norm(on_lower, axis=1)[:, None]
+    rows = np.hstack([on_lower, moments(places, on_lower), sizes * places, sizes])
+    acts = sizes[:, 0] > 0.0
+    bodies = np.column_stack([np.minimum(on, by), np.maximum(on, by)])[acts]
+    own_bodies, index = np.unique(bodies, axis=0, return_inverse=True)
+    own_sums = np.zeros((len(own_bodies), rows.shape[1]))
+    np.add.at(own_sums, index.ravel(), rows[acts])
 
-
-def resultants_between(
-    comm: Any, shares: Sequence[tuple[Array, Array, Indices]]
-) -> dict[tuple[int, int], Resultant]:
-    """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
-
-    Moments are about the mean of the points at which the forces between the two bodies act,
-    weighted by the sizes of the forces.
-
-    Args:
-        comm: communicator of the mesh.
-        shares: results of `shares_of_bodies`, one for each pair.
-    """
-    places, forces, bodies = (np.concatenate(column) for column in zip(*shares, strict=True))
-    acts = forces.any(axis=1)
-    places, bodies = places[acts], bodies[acts]
-    forces = np.where(bodies[:, :1] < bodies[:, 1:], 1.0, -1.0) * forces[acts]
-    lower, higher = np.sort(bodies, axis=1).T
-    number = int(reduce_array(comm, higher.max(initial=0), MPI.MAX)) + 1
-    keys = number * lower + higher
-    all_keys = np.unique(gather_rows(comm, np.unique(keys)[:, None]))
-    index = np.searchsorted(all_keys, keys)
-    sizes = np.linalg.norm(forces, axis=1)[:, None]
-    weights = np.zeros((len(all_keys), 1 + forces.shape[1]))
-    np.add.at(weights, index, np.hstack([sizes, sizes * places]))
-    weights = reduce_array(comm, weights)
-    origin = np.zeros(forces.shape[1])
-    on_bodies = resultants_on(comm, [(places, forces, index)], len(all_keys), origin)
-    return {
-        divmod(int(key), number): resultant.about(weight[1:] / weight[0])
-        for key, resultant, weight in zip(all_keys, on_bodies, weights, strict=True)
-    }
+    sums: dict[tuple[int, int], Array] = {}
+    for bodies_of_rank, sums_of_rank in comm.allgather((own_bodies.tolist(), own_sums)):
+        for (i, j), row in zip(bodies_of_rank, sums_of_rank, strict=True):
+            sums[i, j] = sums[i, j] + row if (i, j) in sums else row
+    origin, result = np.zeros(dim), {}
+    for both, row in sorted(sums.items()):
+        force, moment, place = np.split(row[:-1], [dim, len(row) - dim - 1])
+        result[both] = Resultant(force, moment, origin).about(place / row[-1])
+    return result
 
 
 @dataclass(frozen=True)

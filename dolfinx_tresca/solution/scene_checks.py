@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies
-from dolfinx_tresca._base.parallel import reduce_array, warn
+from dolfinx_tresca._base.functions import owned_values
+from dolfinx_tresca._base.parallel import RankReductions, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -93,17 +94,15 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
         departures: the departures of the solution.
         noticed: the limits whose departures were logged; this call adds to them.
     """
+    departures = comm.bcast(list(departures))
     outside = [departure for departure in departures if departure.value > departure.limit.largest]
     told = outside or [departure for departure in departures if departure.limit not in noticed]
-    if not comm.bcast(bool(told)):
-        return ""
     noticed.update(departure.limit for departure in told)
     advice = dict.fromkeys(departure.advice for departure in told)
     text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
-    if not comm.bcast(bool(outside)):
+    if told and not outside:
         warn(comm, "near the end of linear theory: %s", text)
-        return ""
-    return str(comm.bcast(text))
+    return text if outside else ""
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
@@ -115,40 +114,31 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
         u: displacement [length].
         bodies: bodies of the mesh.
     """
-    comm, dim, label = u.function_space.mesh.comm, u.function_space.mesh.geometry.dim, bodies.label
+    comm, values, label = u.function_space.mesh.comm, owned_values(u), bodies.label
+    dim, sums = values.shape[1], RankReductions(comm)
     size = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
-    moved = in_space(u.x.array.reshape(-1, dim)[: len(label)]) / size[label, None]
-    nodes = np.ones(len(label)), (label, np.arange(len(label)))
-    incidence = csr_array(nodes, shape=(bodies.number, len(label)))
-
-    def sums(*columns: Any) -> Any:
-        return np.asarray(reduce_array(comm, incidence @ np.hstack(columns)))
-
-    means = sums(bodies.arm, moved) / bodies.nodes[:, None]
-    arm, moved = bodies.arm - means[label, :3], moved - means[label, 3:]
-    moments = sums(np.cross(arm, moved), (arm[:, :, None] * arm[:, None, :]).reshape(-1, 9))
-    spread = moments[:, 3:].reshape(-1, 3, 3)
-    inertia = np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(3) - spread
-    turn = np.linalg.solve(inertia, moments[:, :3, None])[:, :, 0]
-    moved -= np.cross(turn[label], arm)
-    strain = np.zeros(bodies.number)
-    np.maximum.at(strain, label, np.linalg.norm(moved, axis=1))
-    angle = np.linalg.norm(turn, axis=1)
+    modes = bodies.rigid_modes(dim)
+    normal_equations = sums.sparse_inner(modes, modes).tocsc()
+    rigid = spsolve(normal_equations, sums.inner(modes, values.ravel()))
+    beyond = np.linalg.norm(values - (modes @ rigid).reshape(-1, dim), axis=1)
+    own_strain = np.zeros(bodies.number)
+    np.maximum.at(own_strain, label, beyond / size[label])
+    strain = reduce_array(comm, own_strain, MPI.MAX)
+    angle = np.linalg.norm(rigid.reshape(bodies.number, -1)[:, dim:], axis=1) / size
     # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
-    angle[angle <= 2.0 * reduce_array(comm, strain, MPI.MAX)] = 0.0
-    for values, limit in ((angle, ROTATION), (strain, DEFORMATION)):
-        body = int(values.argmax())
-        value, name = float(values[body]), bodies.describe(body)
-        if limit is ROTATION:
-            ends = 0.5 * value * size[body]
-            text = f"{name} turns by {value:.3g} rad: its ends move by some {ends:.3g}, and linear "
-            text += f"theory, which allows {limit.largest} rad, swells it by {value * ends:.2g} "
-            text += "and leaves its stresses in their first directions"
-        else:
-            text = f"{name} deforms by {value * size[body]:.3g} beyond its rigid motion, "
-            text += f"{value:.3g} times its diagonal"
-        if value > limit.noticed:
-            yield Departure(value, limit, text, ADVICE_TO_BODIES)
+    angle[angle <= 2.0 * strain] = 0.0
+    body = int(angle.argmax())
+    if angle[body] > ROTATION.noticed:
+        ends = 0.5 * angle[body] * size[body]
+        text = f"{bodies.describe(body)} turns by {angle[body]:.3g} rad: its ends move by some "
+        text += f"{ends:.3g}, and linear theory, which allows {ROTATION.largest} rad, swells it by "
+        text += f"{angle[body] * ends:.2g} and leaves its stresses in their first directions"
+        yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
+    body = int(strain.argmax())
+    if strain[body] > DEFORMATION.noticed:
+        text = f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its "
+        text += f"rigid motion, {strain[body]:.3g} times its diagonal"
+        yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
 
 
 def motions_of_pairs(

@@ -72,6 +72,15 @@ def test_states_and_counts_agree(comm: MPI.Comm) -> None:
     assert carries == counts.nodes
 
 
+def test_counts_with_friction_along_one_direction(comm: MPI.Comm) -> None:
+    """Across this direction a row of T has no friction, but its node counts once."""
+    scene = two_bricks(comm, 4)
+    law = Tresca((0.1, 0.0), direction=(1.0, 0.0, 0.0))
+    with scene.but(friction=law).problem() as problem:
+        counts = problem.solve(rtol=1e-6).counts
+        assert (counts.nodes, counts.idle) == (problem.contact_nodes, 0)
+
+
 def test_normals(comm: MPI.Comm) -> None:
     """Outwards of the secondary side; before an obstacle they are the obstacle's."""
     scene = patch(comm, "hexahedron", upper=(2, 1), lower=(3, 1))
