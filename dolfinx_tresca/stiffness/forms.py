@@ -72,8 +72,9 @@ def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) ->
     try:
         return fem.form(form, entity_maps=entity_maps)
     except Exception as error:  # UFL, FFCx and DOLFINx raise any error, on all ranks
+        why = str(error).rstrip(".") or type(error).__name__
         raise InputError(
-            f"the form {name} cannot be compiled: {error or type(error).__name__}. Are all "
+            f"the form {name} cannot be compiled: {why}. Are all "
             "integrals over the problem's mesh, and do those of a kind have the same tags?"
         ) from error
 
