@@ -101,7 +101,6 @@ class SmoothSurface:
     Facets with curved edges (degree 2) have no height, and normals of their own.
 
     Attributes:
-        nonzero: whether any facet of this rank has a fitted height above rounding.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans; next to a kink it is zero.
@@ -132,7 +131,6 @@ class SmoothSurface:
             self._turn_end_normals(rim[corner_nodes], smooth)
         turns_at_kinks = turned_angles(self._cosines())
         self._heights = self._fitted_heights(smooth)
-        self.nonzero = bool(self._heights.any())
         self._straighten_beside_kinks(smooth, turns_at_kinks)
         self.turns = turned_angles(self._cosines())
         self.across = _normals_across_edges(nodes)
@@ -149,7 +147,7 @@ class SmoothSurface:
             self._exact = ~np.isnan(facets.offsets[:, 0, 0])
             self.turns[self._exact] = turns_at_kinks[self._exact] = self._exact_turns()
             at_end &= ~self._exact
-        self.turning = self.nonzero or bool((self.turns > FLAT_ANGLE).any())
+        self.turning = bool(self._heights.any() or (self.turns > FLAT_ANGLE).any())
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
 

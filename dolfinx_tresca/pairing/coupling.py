@@ -55,12 +55,6 @@ FITTED_PART = 0.25
 #: differences of coordinates.)
 ENTRY_ROUNDING = 8.0
 
-#: Least eigenvalue of the scaled mass matrix of a covered part. If an eigenvalue is smaller, the
-#: inverse of the matrix would amplify rounding, and a shift raises the eigenvalue to this value
-#: (`_regularised_dual`). This occurs only if the covered part is a strip or a corner of some
-#: thousandths of the facet.
-LEAST_EIGENVALUE = 1e-6
-
 #: Difference of the means of two patches of a node over the primary side, relative to the means,
 #: up to which the patches face the same place. (With 0.5 the rim of a hole has no friction in its
 #: radial direction under the head of a bolt, whose friction is a sixth too small.)
@@ -221,7 +215,7 @@ def mortar_rows(
         the point of application of the nodal force, times w.
     """
     corners, count = nodes.facet_nodes, len(nodes.numbers)
-    dual = dual_coefficients(integrals.hats, integrals.full, carries)
+    dual = dual_coefficients(integrals.hats, carries)
     weights = redistributed(integrals.hats.sum(axis=2)[:, :, None], carries)[:, :, 0]
     weights = node_sums(corners, weights, count)
     own = dual @ integrals.values
@@ -236,7 +230,7 @@ def mortar_rows(
     return weights, jump, across, node_sums(corners, means, count)
 
 
-def dual_coefficients(hats: Array, full: Mask, carries: Mask) -> Array:
+def dual_coefficients(hats: Array, carries: Mask) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
@@ -250,44 +244,14 @@ def dual_coefficients(hats: Array, full: Mask, carries: Mask) -> Array:
     Args:
         hats: (n, corners, corners) integrals of the products of two hat functions over the covered
             parts of facets.
-        full: (n,) whether the whole facet is covered, so that no regularisation is needed.
         carries: (n, corners) whether a corner carries a multiplier. A facet without such corners
             has no basis functions.
     """
-    weights, corners = hats.sum(axis=2), hats.shape[1]
-    result = np.zeros_like(hats)
-    plain = full & carries.all(axis=1)
-    result[plain] = weights[plain][:, :, None] * np.linalg.inv(hats[plain])
-    partial = ~plain & (weights.sum(axis=1) > 0.0)
-    sums = redistributed(np.broadcast_to(np.eye(corners), hats[partial].shape), carries[partial])
-    result[partial] = _regularised_dual(sums @ hats[partial] @ sums.transpose(0, 2, 1)) @ sums
-    return result
-
-
-def _regularised_dual(masses: Array) -> Array:
-    """Return the coefficients (n, k, k) of each facet's dual basis, whose k functions sum to 1.
-
-    With the mass matrix M, the diagonal matrix D of its row sums and S = D^-1/2 M D^-1/2, the
-    coefficients are D M^-1. If the covered part is a narrow strip, M is nearly singular, and the
-    coefficients are (1 + t) D (M + t D)^-1 with the least t for which the eigenvalues of S + t I
-    are at least `LEAST_EIGENVALUE`. Since M 1 = D 1, the basis sums to 1 for any t; it is
-    biorthogonal for t = 0 only.
-
-    Args:
-        masses: (n, k, k) mass matrices of the functions from which the bases are formed, which sum
-            to 1; a zero row stands for a missing function.
-    """
-    weights: Array = masses.sum(axis=2)
-    absent: Mask = np.logical_not(masses.any(axis=2))
-    # on a sliver at the opposite corner, rounding may make the integral of a hat function negative
-    weights = np.maximum(weights, ROUNDING * weights.sum(axis=1, keepdims=True))
-    root = np.sqrt(np.where(absent, 1.0, weights))
-    scaled = masses / (root[:, :, None] * root[:, None, :])
-    scaled += absent[:, :, None] * np.eye(masses.shape[2])
-    least = np.linalg.eigvalsh(scaled)[:, :1, None]
-    shift = np.maximum(LEAST_EIGENVALUE - least, 0.0)
-    inverse = np.linalg.inv(scaled + shift * np.eye(masses.shape[2]))
-    return np.asarray((1.0 + shift) * root[:, :, None] * inverse / root[:, None, :])
+    every = np.eye(hats.shape[1])
+    sums = redistributed(np.broadcast_to(every, hats.shape), carries)
+    masses = sums @ hats @ sums.transpose(0, 2, 1)
+    missing = np.logical_not(masses.any(axis=2))[:, :, None] * every
+    return np.asarray(masses.sum(axis=2)[:, :, None] * np.linalg.inv(masses + missing) @ sums)
 
 
 def redistributed(values: Array, receives: Mask) -> Array:

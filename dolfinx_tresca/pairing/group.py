@@ -22,7 +22,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, real
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import entities_per_cell
-from dolfinx_tresca._base.parallel import exchange, reduce_array, warn
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array, warn
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.search.facets import NEGLIGIBLE, Facets, joined, tabulate
 from dolfinx_tresca.pairing.search.self_contact import facet_origins
@@ -83,8 +83,8 @@ class PairGroup:
             columns = [primary.index(tag) for tag in tags] or [0]
             pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
         alike = [next(k for k, second in enumerate(pairs) if _same(pair, second)) for pair in pairs]
-        strengths = [(_strength(pairs[k].friction), -k) for k in alike]
-        rank = np.array([sorted(set(strengths)).index(strength) for strength in strengths])
+        strengths = [(*_strength(pairs[k].friction), -k) for k in alike]
+        _, rank = np.unique(strengths, axis=0, return_inverse=True)
         surfaces = pattern
         if len(pairs) > 1:
             surfaces = replace(
@@ -95,7 +95,7 @@ class PairGroup:
                 gap=None,
                 name="; ".join(map(str, pairs)),
             )
-        return cls(tuple(numbers), tuple(pairs), surfaces, pair_of_tags, rank)
+        return cls(tuple(numbers), tuple(pairs), surfaces, pair_of_tags, rank.ravel())
 
     def owners(self, shares: Array) -> Indices:
         """Return for each node (n,) the index of the pair that has its multiplier.
@@ -185,18 +185,15 @@ def _shared(
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
-    rows = [np.zeros((0, 2), dtype=np.int64)]
+    rows = [np.zeros((0, 2), dtype=np.intp)]
     for k in map(int, np.flatnonzero(compared)):
         facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
-        nodes = fem.locate_dofs_topological(V, dim, facets)
-        number = V.dofmap.index_map.local_to_global(nodes) if label is None else label[nodes]
-        rows.append(np.unique(np.column_stack([number, np.full(len(nodes), k)]), axis=0))
-    together = np.concatenate(rows).astype(np.int64)
-    together, _ = exchange(comm, together, together[:, 0] % comm.size)
-    unique = np.unique(together, axis=0)
-    _, row = np.unique(unique[:, 0], return_inverse=True)
-    ones, shape = np.ones(len(row)), (int(row.max(initial=-1)) + 1, len(pairs))
-    incidence = coo_array((ones, (row.ravel(), unique[:, 1])), shape=shape).tocsr()
+        nodes = fem.locate_dofs_topological(V, dim, facets)  # those of facets of other ranks, too
+        items = nodes if label is None else gather_rows(comm, np.unique(label[nodes]))
+        rows.append(np.column_stack([items, np.full(len(items), k)]))
+    item, pair = np.concatenate(rows).T
+    shape = int(item.max(initial=-1)) + 1, len(pairs)
+    incidence = coo_array((np.ones(len(item)), (item, pair)), shape=shape).tocsr()
     return np.asarray(reduce_array(comm, (incidence.T @ incidence).toarray()) > 0.0)
 
 

@@ -114,8 +114,8 @@ class MortarIntegrals(FacetIntegrals):
         primary: SurfaceNodes,
         selected: Indices,
         limit: float,
+        may_meet: Callable[[Indices, Indices], Mask],
         order: SelfContact | None = None,
-        may_meet: Callable[[Indices, Indices], Mask] | None = None,
     ) -> None:
         """Integrate over the overlaps of facets. Not collective.
 
@@ -129,14 +129,13 @@ class MortarIntegrals(FacetIntegrals):
             selected: (m,) indices of the secondary facets to integrate over; the integrals of all
                 other facets are zero.
             limit: search distance, beyond which no points are paired [length].
+            may_meet: function that tells of (p,) secondary and (p,) primary facets whether both may
+                be paired, (p,).
             order: rule that decides which of two facets is secondary on a surface that touches
                 itself (`primary` and `secondary` are then the same side); None for two surfaces.
-            may_meet: function that tells of (p,) secondary and (p,) primary facets whether both may
-                be paired, (p,); None: all may, or `order` decides.
         """
         facets, partners = self._facets, self._other_facets = secondary.facets, primary.facets
-        self._order = order
-        self._may_meet = may_meet if order is None else order.may_meet
+        self._may_meet, self._order = may_meet, order
         self._pieces, self._others = Pieces.from_facets(facets), Pieces.from_facets(partners)
         self._surface, self._other_surface = SmoothSurface(secondary), SmoothSurface(primary)
         self._known = any_known_surface(facets, partners)
@@ -202,11 +201,9 @@ class MortarIntegrals(FacetIntegrals):
             )
             piece = own[line]
             cosine = np.einsum("ni,ni->n", pieces.normals[piece], partners.normals[partner])
-            opposed = cosine < -FACING_COSINE
-            if self._may_meet is not None:
-                facets = pieces.facet[piece[opposed]], partners.facet[partner[opposed]]
-                opposed[opposed] = self._may_meet(*facets)
-            piece, partner = piece[opposed], partner[opposed]
+            piece, partner = piece[cosine < -FACING_COSINE], partner[cosine < -FACING_COSINE]
+            meets = self._may_meet(pieces.facet[piece], partners.facet[partner])
+            piece, partner = piece[meets], partner[meets]
             # a block ends at the first pair of a piece after each 4 `AT_ONCE` pairs
             number = np.searchsorted(piece, piece) // (4 * AT_ONCE)
             ends = np.flatnonzero(np.diff(number)) + 1

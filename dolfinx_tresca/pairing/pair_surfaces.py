@@ -119,7 +119,8 @@ def _pair(
         with errors_on_all_ranks(comm):
             selected, limit = at_own_nodes(V, facets), pair.search_limit
             order = SelfContact(facets) if pair.touches_itself else None
-            overlap = MortarIntegrals(nodes, other_nodes, selected, limit, order, may_meet)
+            rule = may_meet if order is None else order.may_meet
+            overlap = MortarIntegrals(nodes, other_nodes, selected, limit, rule, order)
             integrals, shared = overlap, np.isin(nodes.numbers, primary.nodes)
             if order is not None:
                 shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
