@@ -8,7 +8,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix
 import dolfinx
 import ufl
 from dolfinx import fem
@@ -26,7 +25,7 @@ from dolfinx_tresca.guaranteed.cells import (
     symmetric_basis,
 )
 from dolfinx_tresca.guaranteed.contact import ContactSurface
-from dolfinx_tresca.guaranteed.forms import elasticity, loads
+from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
 from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require, spread
 from dolfinx_tresca.guaranteed.stars import Stars
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -86,19 +85,19 @@ class GuaranteedError:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Stresses and displacements that bound the exact solution of a load.
+    """Tractions, loads and displacements that bound the exact solution of a load.
 
     Attributes:
         surfaces: the contact surfaces, with admissible tractions.
+        loads: loads, and tractions on the whole boundary.
         v: a displacement that does not penetrate.
-        stress: data of a stress in equilibrium with tractions and loads, see `StressEnergies`.
-        oscillation: (n,) bounds of what loads do that the stress does not balance.
+        balanced: (n, d + 1, d, d) stress of a displacement that balances the loads.
     """
 
     surfaces: list[ContactSurface]
+    loads: Loads
     v: fem.Function
-    stress: Array
-    oscillation: Array
+    balanced: Array
 
 
 @dataclass(frozen=True)
@@ -132,31 +131,28 @@ class Bodies:
         mesh, self.linear, self.V = linear.V.mesh, linear, linear.V
         self.comm, cell = mesh.comm, mesh.topology.cell_name()
         plain = linear.component is None and not linear.axisymmetric
-        simplices = cell in ("triangle", "tetrahedron") and geometry_degree(mesh) == 1
-        require(
-            self.comm,
-            plain and simplices,
-            "displacements in a plane or in space, not in mixed spaces or of revolution, on "
-            "triangles or tetrahedra with straight edges; divide other cells into simplices. The "
-            f"mesh has {cell} cells of degree {geometry_degree(mesh)}",
-        )
-        require(
-            self.comm,
-            dual.equilibrium is None,
-            "Dirichlet conditions that hold each body; here contact alone holds a body against "
-            "some motion",
-        )
+        for holds, needed in (
+            (plain, "displacements in a plane or in space, not mixed spaces or revolution"),
+            (
+                cell in ("triangle", "tetrahedron"),
+                f"triangles or tetrahedra, found {cell} cells. Divide them into simplices",
+            ),
+            (geometry_degree(mesh) == 1, "cells with straight edges"),
+            (
+                dual.equilibrium is None,
+                "Dirichlet conditions that hold each body; here contact alone holds a body "
+                "against some motion",
+            ),
+        ):
+            require(self.comm, holds, needed)
         self.owned = owned = OwnedCells.from_space(self.V)
         self.cells = cells = owned.cells
         self.stiffness = elasticity(linear.ufl_forms[0], owned, linear.entity_maps)
         self.energies = StressEnergies(cells, np.asarray(np.linalg.inv(self.stiffness)))
         self.prescribed = spread(self.V, linear.prescribed.reshape(-1, cells.d)) > 0.0
-        self._displacement = fem.Function(self.V)
-        corners = basix.geometry(mesh.basix_cell())
-        self._strain = fem.Expression(ufl.sym(ufl.grad(self._displacement)), corners)
         exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
         inside = ~np.isin(owned.facets, exterior)[:, :, None]
-        held = self.prescribed[owned.facet_nodes].all(axis=2) & ~inside
+        held = self.prescribed[owned.nodes[:, owned.on_facets]].all(axis=2) & ~inside
         self.unknown = held | inside
         self.stars = Stars(owned, self.energies.facet_stiffness(), self.unknown)
         # facets that are held take any load
@@ -170,14 +166,11 @@ class Bodies:
 
     def stresses(self, w: fem.Function) -> Array:
         """Return the stresses (n, d + 1, d, d) of a displacement at the vertices of cells."""
-        n, corners, d = self.cells.points.shape
-        self._displacement.x.array[:] = w.x.array
-        strains = self._strain.eval(self.V.mesh, np.arange(n, dtype=np.int32))
-        order = self.owned.order[:, :, None, None]
-        strains = np.take_along_axis(strains.reshape(n, corners, d, d), order, axis=1)
-        tensors = symmetric_basis(d)
-        components = np.tensordot(strains, tensors, ([2, 3], [1, 2])) @ self.stiffness
-        return np.asarray(np.tensordot(components, tensors, axes=1))
+        owned, tensors = self.owned, symmetric_basis(self.cells.d)
+        values = w.x.array.reshape(-1, owned.cells.d)[owned.nodes]
+        slopes = 2.0 * np.einsum("kab,nki->naib", owned.basis, values)
+        strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
+        return np.asarray(np.tensordot(strains @ self.stiffness, tensors, axes=1))
 
     def candidate(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
@@ -193,33 +186,26 @@ class Bodies:
         Raises:
             InputError: the bound does not cover the contact pairs, or the load.
         """
+        given = loads(L, self.owned, self.factors, self.linear.entity_maps)
         at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
+        surfaces = [
+            ContactSurface(self.owned, dual, number, multipliers, bounds, self.prescribed)
+            for number in range(len(dual.jump.pairs))
+        ]
         v, right, balanced = u.copy(), zero_like(u, "force"), zero_like(u, "balanced")
-        surfaces, forms = [], [] if L is None else [L]
-        for number in range(len(dual.jump.pairs)):
-            surface = ContactSurface(self.owned, dual, number, multipliers, bounds, self.prescribed)
+        for surface in surfaces:
             surface.lift(v)
-            surfaces.append(surface)
-            forms.append(surface.load)
-        given = loads(forms, self.owned, self.factors, self.linear.entity_maps)
-        right.x.array[:] = given.nodal_forces.ravel()
+            for cell, facet, tractions in surface.sides:
+                given.traction[cell, facet] += tractions
+        right.x.array[:] = self.owned.nodal_forces(given.load, given.traction).ravel()
         residual = self.linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
         dual.operator.solver.improve(residual, balanced.x.petsc_vec, rtol=1e-12, accuracy=0.0)
         residual.destroy()
         balanced.x.scatter_forward()
         balanced.x.array[:] += u.x.array
-        stress, cells = self.stresses(balanced), self.cells
-        discrete = stress_data(cells, stress)[:, : self.energies.count].reshape(
-            given.traction.shape
-        )
-        near = np.where(self.unknown[:, :, None], discrete, given.traction)
-        forces = np.einsum("nab,njb->nja", stress.mean(axis=1), cells.gradients)
-        forces = cells.volumes[:, None, None] * forces - cells.volume_forces(given.load)
-        tractions = self.stars.equilibrated(near, forces).reshape(len(near), -1, cells.d)
-        data = np.concatenate([tractions, -given.load], axis=1)
-        return Candidate(surfaces, v, data, given.oscillation)
+        return Candidate(surfaces, given, v, self.stresses(balanced))
 
     def distance(
         self, candidate: Candidate, v: fem.Function, target: Array, gain: float
@@ -227,7 +213,7 @@ class Bodies:
         """Return the distance of a stress in equilibrium from that of a displacement. Collective.
 
         Args:
-            candidate: the stress in equilibrium, and the tractions that it balances.
+            candidate: the loads and tractions that the stress balances.
             v: displacement that does not penetrate.
             target: data of the stress that is to be near, see `StressEnergies`.
             gain: part of the distance by which a step must lower it, or the steps end.
@@ -248,27 +234,26 @@ class Bodies:
                 "an exact solution, and prescribed displacements penetrate at contact pair "
                 f"{surface.pair}",
             )
-        self._check_equilibrium(candidate.stress, target)
-        difference = candidate.stress - target
+        difference = self._equilibrated(candidate, target) - target
         self._shorten(difference, gain)
         stress = np.sqrt(self.energies.squared_norms(difference))
-        return Distance(difference, stress, candidate.oscillation, *defects)
+        return Distance(difference, stress, candidate.loads.oscillation, *defects)
 
-    def _check_equilibrium(self, stress: Array, target: Array) -> None:
-        """Check that data of a stress balance each cell in force and moment. Collective.
+    def _equilibrated(self, candidate: Candidate, target: Array) -> Array:
+        """Return data of a stress in equilibrium, see `StressEnergies`. Collective."""
+        cells, count, load = self.cells, self.energies.count, candidate.loads.load
+        given, shape = candidate.loads.traction, candidate.loads.traction.shape
+        discrete = stress_data(cells, candidate.balanced)[:, :count].reshape(shape)
+        near = np.where(self.unknown[:, :, None], discrete, given)
+        flux = np.einsum("nkab,njb->nja", candidate.balanced, cells.gradients) / shape[1]
+        loaded = cells.volume_forces(load)
+        tractions = self.stars.equilibrated(near, cells.volumes[:, None, None] * flux - loaded)
 
-        Raises:
-            ContactError: they do not.
-        """
-        cells, shape = self.cells, (*self.unknown.shape, self.cells.d)
+        forces = cells.facet_forces(tractions)
         # a body may be free of forces where the target, of another load, is not
-        forces, aimed = (
-            cells.facet_forces(data[:, : self.energies.count].reshape(shape))
-            for data in (stress, target)
-        )
+        aimed = cells.facet_forces(target[:, :count].reshape(shape))
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
-        unbalanced = forces - cells.volume_forces(stress[:, self.energies.count :])
-        lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), unbalanced)
+        lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces + loaded)
         largest = [np.abs(field).max(initial=0.0) for field in (lacking, forces, aimed)]
         missing, *sizes = reduce_array(self.comm, largest, MPI.MAX)
         if not missing <= IMBALANCE * max(sizes):  # nor is a number that is none
@@ -277,6 +262,7 @@ class Bodies:
                 f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
+        return np.concatenate([tractions.reshape(len(load), count, -1), -load], axis=1)
 
     def _shorten(self, difference: Array, gain: float) -> None:
         """Add tractions without resultants that shorten a stress, in place. Collective."""

@@ -14,7 +14,6 @@ from math import factorial
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array, Indices
-from dolfinx_tresca.pairing.search.facets import quadrature
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
@@ -23,46 +22,40 @@ from dolfinx_tresca.pairing.search.facets import quadrature
 POINCARE = {2: 0.616, 3: 0.840}
 TRACE = {2: 1.963, 3: 5.122}
 
-#: Number of cells whose stresses are computed together, so that they stay in the processor's cache.
-CELLS_AT_ONCE = 1024
 
-
-def hat_means(values: Array) -> Array:
-    """Return the means (..., k, c) over a simplex of its k hat functions times linear functions.
+def mean_products(corners: int, factors: int) -> Array:
+    """Return the means over a simplex of products of barycentric coordinates.
 
     Args:
-        values: (..., k, c) values of the functions at the vertices.
+        corners: number of vertices of the simplex.
+        factors: number of factors of each product.
+
+    Returns:
+        an array with `factors` axes of length `corners`; its entry (i, j, ...) is the mean of
+        lambda_i lambda_j ... over the simplex.
     """
-    k = values.shape[-2]
-    return np.asarray((values + values.sum(axis=-2, keepdims=True)) / (k * (k + 1)))
+    result = np.empty((corners,) * factors)
+    scale = factorial(corners - 1) / factorial(corners - 1 + factors)
+    for index in np.ndindex(*result.shape):
+        powers = np.bincount(index, minlength=corners)
+        result[index] = scale * np.prod([factorial(int(power)) for power in powers])
+    return result
 
 
-def edges(corners: int) -> Indices:
-    """Return the ends (k, 2) of the edges of a simplex, in DOLFINx's order."""
-    return np.column_stack(np.triu_indices(corners, 1))[::-1]
+def basis_products(corners: int, degree: int) -> Array:
+    """Return matrices A_k (k, corners, corners) of Lagrange's basis of degree 1 or 2.
 
-
-def bernstein_points(corners: int) -> Array:
-    """Return the barycentric coordinates (k, corners) of vertices, and of the middles of edges.
-
-    A linear function has its values there as Bernstein's coefficients of degree 2.
+    The basis function k is the sum of A_k[i, j] lambda_i lambda_j. Its nodes are the vertices, and
+    for degree 2 the midpoints of the edges in the order of `combinations`.
     """
-    vertices = np.eye(corners)
-    return np.vstack([vertices, vertices[edges(corners)].mean(axis=1)])
-
-
-def bernstein(points: Array) -> Array:
-    """Return Bernstein's polynomials (q, k) of degree 2 at barycentric coordinates (q, corners)."""
-    i, j = edges(points.shape[1]).T
-    return np.hstack([points**2, 2.0 * points[:, i] * points[:, j]])
-
-
-def bernstein_means(corners: int) -> Array:
-    """Return the means (k, k) over a simplex of products of two of Bernstein's polynomials."""
-    cell = {2: "interval", 3: "triangle", 4: "tetrahedron"}[corners]
-    points, weights = quadrature(cell, 4)
-    shapes = bernstein(np.column_stack([1.0 - points.sum(axis=1), points]))
-    return np.asarray(shapes.T @ (weights[:, None] * shapes) / weights.sum())
+    unit = np.eye(corners)
+    linear = 0.5 * (unit[:, :, None] + unit[:, None])
+    if degree == 1:
+        return linear
+    i, j = np.triu_indices(corners, 1)
+    edges = unit[i][:, :, None] * unit[j][:, None]
+    vertices = 2.0 * unit[:, :, None] * unit[:, None] - linear
+    return np.concatenate([vertices, 2.0 * (edges + np.swapaxes(edges, 1, 2))])
 
 
 def opposite(d: int) -> Indices:
@@ -132,7 +125,7 @@ class Simplices:
 
         A linear displacement does the work of its values at the vertices times these forces.
         """
-        forces = self.areas[:, :, None, None] * hat_means(tractions)
+        forces = self.areas[:, :, None, None] * (mean_products(self.d, 2) @ tractions)
         result = np.zeros_like(self.points)
         for j, vertices in enumerate(opposite(self.d)):
             result[:, vertices] += forces[:, j]
@@ -140,7 +133,7 @@ class Simplices:
 
     def volume_forces(self, load: Array) -> Array:
         """Return the resultants (n, d + 1, d) at the vertices of a linear load there."""
-        return self.volumes[:, None, None] * hat_means(load)
+        return np.asarray(self.volumes[:, None, None] * (mean_products(self.d + 1, 2) @ load))
 
     @cached_property
     def stretches(self) -> Array:
@@ -185,8 +178,8 @@ def _regular_frame(d: int) -> Array:
 
 
 @cache
-def least_stresses(d: int) -> Array:
-    """Return the stresses of the stress element on the regular simplex of edge length 1.
+def stress_products(d: int) -> Array:
+    """Return products of stresses of the stress element on the regular simplex of edge length 1.
 
     The simplex is divided by its centroid into d + 1 subcells, as in the element of Johnson and
     Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the vertices
@@ -197,49 +190,58 @@ def least_stresses(d: int) -> Array:
     reproduces linear stresses.
 
     Returns:
-        (m, p, nsym) p coordinates of the stress of each of the m data, for each component in
-        `symmetric_basis`: sums of their products are means of products over the simplex. The data
-        are (facet i, vertex of this facet, component) S grad lambda_i with the stress S, then
+        (nsym (nsym + 1) / 2, m, m) means over the simplex of products of two components of stresses
+        in `symmetric_basis`, in the order of `triu_indices`, twice if the components differ. The m
+        data are (facet i, vertex of this facet, component) S grad lambda_i with the stress S, then
         (vertex, component) the divergence.
     """
-    n, basis, places = d + 1, symmetric_basis(d), bernstein_points(d + 1)
-    nsym, size = len(basis), len(places)
-    numbers = np.diag(np.arange(n))  # of the coefficient between two vertices
-    i, j = edges(n).T
-    numbers[i, j] = numbers[j, i] = np.arange(n, size)
+    n, basis = d + 1, symmetric_basis(d)
+    nsym = len(basis)
+    nodal = basis_products(n, 2)
+    size = len(nodal)
+    # barycentric coordinates of the nodes
+    places = np.vstack([np.eye(n), 0.5 * (np.eye(n)[:, None] + np.eye(n))[np.triu_indices(n, 1)]])
+    mass = np.einsum("pab,qcd,abcd->pq", nodal, nodal, mean_products(n, 4), optimize=True) / n
 
-    # Bernstein's coefficients in subcells, by coordinates in which the norm is Euclidean; vertex i
+    # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean; vertex i
     # of subcell i is the centroid
-    root = np.linalg.inv(np.linalg.cholesky(bernstein_means(n) / n)).T
+    root = np.linalg.inv(np.linalg.cholesky(mass)).T
     unknown = np.eye(n * size * nsym).reshape(n, size, nsym, -1)
-    stress = np.einsum("pq,iqaz,akl->ipklz", root, unknown, basis, optimize=True)
+    scaled = np.einsum("pq,iqaz->ipaz", root, unknown)
+    stress = np.einsum("ipaz,akl->ipklz", scaled, basis)
     inner = np.linalg.inv(_regular_frame(d))
     gradients = np.vstack([-inner.sum(axis=0), inner])
     data = np.eye(n * d * d + n * d).reshape(n * d + n, d, -1)
     tractions = data[: n * d].reshape(n, d, d, -1)
     equations, right = [], []
     for i, vertices in enumerate(opposite(d)):
-        on_facet = places[:, i] == 0.0
+        on_facet = [p for p in range(size) if places[p, i] == 0.0]
         equations.append(np.einsum("pklz,l->pkz", stress[i, on_facet], gradients[i]))
         right.append(np.einsum("pj,jkz->pkz", places[on_facet][:, vertices], tractions[i]))
         slopes = gradients - gradients[i]
         slopes[i] = n * gradients[i]
-        equations.append(2.0 * np.einsum("abklz,bl->akz", stress[i, numbers], slopes))
+        derivatives = 2.0 * np.einsum("pab,bl->pal", nodal, slopes)  # at vertices a
+        equations.append(np.einsum("pklz,pal->akz", stress[i], derivatives))
         corners = np.eye(n)
         corners[i] = 1.0 / n
         right.append(np.einsum("aj,jkz->akz", corners, data[n * d :]))
         for j in range(i):
-            # points on the common facet: vertex i of subcell i is vertex j of subcell j
+            # nodes on the common facet: vertex i of subcell i is vertex j of subcell j
             exchanged = places.copy()
             exchanged[:, [i, j]] = exchanged[:, [j, i]]
-            common = np.flatnonzero(places[:, j] == 0.0)
+            common = [p for p in range(size) if places[p, j] == 0.0]
             twins = [int(np.argmin(np.abs(exchanged - places[p]).sum(axis=1))) for p in common]
             jump = stress[i, common] - stress[j, twins]
             equations.append(np.einsum("pklz,l->pkz", jump, gradients[i] - gradients[j]))
             right.append(np.zeros((len(common), d, data.shape[2])))
     matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
-    return np.ascontiguousarray(least.T).reshape(-1, n * size, nsym)
+    least = least.reshape(n * size, nsym, -1)  # orthonormal at the nodes of each subcell
+    rows, columns = np.triu_indices(nsym)
+    products = np.einsum("pax,pby->abxy", least, least, optimize=True)
+    products = products[rows, columns] + products[columns, rows]
+    products[rows == columns] *= 0.5
+    return np.asarray(products)
 
 
 class StressEnergies:
@@ -250,7 +252,7 @@ class StressEnergies:
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the energies of stresses on the regular simplex.
+        """Compute the matrices of all cells.
 
         Args:
             cells: the cells.
@@ -258,31 +260,29 @@ class StressEnergies:
                 `symmetric_basis`.
         """
         d, self.cells = cells.d, cells
+        basis, products = symmetric_basis(d), stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
         self.count = d * (d + 1)  # of tractions
-        self._to_reference = np.swapaxes(np.linalg.inv(frames), 1, 2)
-        scales = np.ones((len(frames), self.count + d + 1, 1))
-        scales[:, : self.count, 0] = np.repeat(-1.0 / cells.heights, d, axis=1)
-        self._scales = scales
+        inner = np.swapaxes(np.linalg.inv(frames), 1, 2)
+        scales = np.ones((len(frames), self.count + d + 1))
+        scales[:, : self.count] = np.repeat(-1.0 / cells.heights, d, axis=1)
+        self._to_reference, self._scales = inner, scales[:, :, None]
         # the stress is B S B' with the reference stress S
-        stresses = frames[:, None] @ symmetric_basis(d) @ np.swapaxes(frames, 1, 2)[:, None]
-        rows = np.tensordot(stresses, symmetric_basis(d), axes=([2, 3], [1, 2]))
-        self._pulled = rows @ compliance @ np.swapaxes(rows, 1, 2) * cells.volumes[:, None, None]
+        stresses = frames[:, None] @ basis @ np.swapaxes(frames, 1, 2)[:, None]
+        rows = np.tensordot(stresses, basis, axes=([2, 3], [1, 2]))
+        pulled = rows @ compliance @ np.swapaxes(rows, 1, 2) * cells.volumes[:, None, None]
+        i, j = np.triu_indices(len(basis))
+        matrices = pulled[:, i, j] @ products.reshape(len(i), -1)
+        self._matrices = matrices.reshape(len(frames), *products.shape[1:])
 
     def derivative(self, data: Array) -> Array:
         """Return half the derivative (n, k, d) of the energy; data may be tractions alone."""
-        n, k, d = data.shape
-        columns = least_stresses(d)[: k * d].reshape(k * d, -1)
-        result = np.empty_like(data)
-        for start in range(0, n, CELLS_AT_ONCE):
-            cells = slice(start, start + CELLS_AT_ONCE)
-            to_reference, scales = self._to_reference[cells], self._scales[cells, :k]
-            reference = ((data[cells] @ to_reference) * scales).reshape(-1, k * d)
-            stresses = (reference @ columns).reshape(len(reference), -1, self._pulled.shape[1])
-            products = (stresses @ self._pulled[cells]).reshape(len(reference), -1) @ columns.T
-            products = products.reshape(-1, k, d) * scales
-            result[cells] = products @ np.swapaxes(to_reference, 1, 2)
-        return result
+        k = data.shape[1]
+        reference = (data @ self._to_reference) * self._scales[:, :k]
+        size = k * self.cells.d
+        products = self._matrices[:, :size, :size] @ reference.reshape(-1, size, 1)
+        products = products.reshape(reference.shape) * self._scales[:, :k]
+        return np.asarray(products @ np.swapaxes(self._to_reference, 1, 2))
 
     def squared_norms(self, data: Array) -> Array:
         """Return the squared norms (n,) of stresses, twice the complementary energy."""
@@ -291,13 +291,10 @@ class StressEnergies:
     def facet_stiffness(self) -> Array:
         """Return matrices (n, d + 1, d * d, d * d): the energies of tractions on each facet."""
         n, d, _ = self._to_reference.shape
-        stresses = least_stresses(d)[: self.count * d].reshape(d + 1, d * d, -1, d * (d + 1) // 2)
-        products = np.einsum("fxpa,fypb->abfxy", stresses, stresses, optimize=True)
-        blocks = np.tensordot(self._pulled, products, axes=2)
-        turn = np.swapaxes(self._to_reference, 1, 2)
-        for _ in range(2):  # rows, then columns
-            turned = (blocks.reshape(n, -1, d) @ turn).reshape(blocks.shape)
-            blocks = np.swapaxes(turned, 2, 3)
+        turn = np.einsum("kl,nab->nkalb", np.eye(d), self._to_reference).reshape(n, d * d, d * d)
+        facets = [slice(j * d * d, (j + 1) * d * d) for j in range(d + 1)]
+        blocks = np.stack([self._matrices[:, facet, facet] for facet in facets], axis=1)
+        blocks = turn[:, None] @ blocks @ np.swapaxes(turn, 1, 2)[:, None]
         return np.asarray(blocks / np.square(self.cells.heights)[:, :, None, None])
 
 

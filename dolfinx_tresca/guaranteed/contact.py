@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import logging
 from typing import Any
 
 import numpy as np
 from scipy.sparse import kron
 
-import ufl
 from dolfinx import fem
-from dolfinx.mesh import meshtags
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.guaranteed.cells import bernstein, bernstein_means, bernstein_points
+from dolfinx_tresca.guaranteed.cells import mean_products
 from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require, spread
-from dolfinx_tresca.pairing.group import Undeformed
+from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, joined
-from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import SideName
@@ -34,16 +32,16 @@ FLATNESS = 1e-8
 class ContactSurface:
     """The secondary surface of a pair, with tractions that are linear between nodes.
 
-    Rigid planes, bodies and all laws are alike: the jump of the displacement is bounded along
-    `axes`, and a traction acts on it.
-
     Attributes:
         pair: the contact pair.
+        bonded: whether its surfaces are bonded.
+        nodes: (n,) the vertices of this rank that face the primary side, prescribed ones included.
         normal: (d,) the contact normal: of the secondary side, or towards the rigid plane.
-        axes: (k, d) the directions in which the jump is bounded: the normal; all if bonded.
         cell: (m,) the cells of the secondary facets.
         facet: (m,) the numbers of these facets in their cells.
-        load: linear form of the work of the tractions on both sides.
+        tractions: (m, d, d) tractions on the secondary facets at their vertices [stress].
+        sides: cells (m,), numbers of facets (m,) and tractions (m, d, d) of the secondary side, and
+            of the primary side if it is a body.
     """
 
     def __init__(
@@ -73,9 +71,10 @@ class ContactSurface:
         member = group.numbers.index(number)
         self.pair = pair = group.pairs[member]
         self._owned, self._free = owned, ~prescribed
-        self._bonded = isinstance(pair.friction, Bonded)
+        self.bonded = isinstance(pair.friction, Bonded)
         V, d, comm = owned.V, owned.cells.d, owned.V.mesh.comm
-        finite = self._bonded or np.isfinite(bounds[rows.nodes]).all()
+        rigid = isinstance(pair.primary, RigidPlane)
+        finite = self.bonded or np.isfinite(bounds[rows.nodes]).all()
         alike = all(member.friction == pair.friction for member in group.pairs)
         require(
             comm,
@@ -83,70 +82,58 @@ class ContactSurface:
             "surfaces of one law with one finite slip bound for all directions, unlike those "
             f"of contact pair {pair}. Leave a gap between surfaces of different laws",
         )
-        rigid = isinstance(pair.primary, RigidPlane)
-        every = _with_all_nodes(V, rows.operators.undeformed)
-        every = every.at_nodes(every.shares[:, member] > 0.0)
-        nodewise = pair.obstacle is None and not pair.touches_itself
-        nodewise = nodewise and (np.diff(every.primary.indptr) == 1).all()
-        nodewise = nodewise and (np.abs(every.primary.data - 1.0) < FLATNESS).all()
         matching = (
             "rigid planes, or bodies of degree 1 whose meshes match on flat surfaces, and those of "
             f"contact pair {pair} do not. Mesh both alike, and make a pair of each flat side"
         )
+        every = _with_all_nodes(V, group)
+        every = every.at_nodes(every.shares[:, member] > 0.0)
+        nodewise = pair.obstacle is None and not pair.touches_itself
+        nodewise = nodewise and (np.diff(every.primary.indptr) == 1).all()
+        nodewise = nodewise and (np.abs(every.primary.data - 1.0) < FLATNESS).all()
         require(comm, rigid or nodewise, matching)
-        self._nodes, self._jump = every.nodes, None
+        self.nodes, self._jump = every.nodes, None
+        self._faces = self._at_nodes(np.ones((len(self.nodes), 1)))
         if not rigid:
             jump = kron(every.jump, np.eye(d), format="csr")
             self._jump = as_petsc(V.dofmap.index_map, d, [jump], comm)
-        gaps = np.zeros(len(every.nodes)) if self._bonded else every.distance
-        if pair.gap is not None and not self._bonded:
+        gaps = np.zeros(len(self.nodes)) if self.bonded else every.distance
+        if pair.gap is not None and not self.bonded:
             name = f"the gap of contact pair {pair}"
-            gaps = gaps + NodalValues(V).scalars_at(pair.gap, every.nodes, name)
-        touching = self._carried(self._at_nodes(np.ones((len(gaps), d))))[:, 0] != 0.0
+            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self.nodes, name)
+        self._gaps = self._at_nodes(gaps[:, None])[:, 0]
 
-        self.cell, self.facet, self._on_facets, outside = self._facets_of("secondary", touching)
+        touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
+        self.cell, self.facet, nodes, outside = self._facets_of("secondary", touching)
+        self._corners, self._middles = np.split(nodes, [d], axis=1)
         normals = owned.cells.normals[self.cell, self.facet]
-        facets = owned.facets[self.cell, self.facet]
         if rigid:
             self.normal = -pair.primary.at(np.zeros((1, 3)))[1][0, :d]
         else:
             total = reduce_array(comm, normals.sum(axis=0))
             self.normal = total / np.linalg.norm(total)
-            cell, facet, _, _ = self._facets_of("primary", touching)
-            turned = np.vstack([normals, -owned.cells.normals[cell, facet]]) - self.normal
-            unpaired = comm.allreduce(len(cell) - len(self.cell))
-            require(comm, not unpaired and (np.abs(turned) < FLATNESS).all(), matching)
-            facets = np.concatenate([facets, owned.facets[cell, facet]])
-        self.axes = np.eye(d) if self._bonded else self.normal[None]
-        require(
-            comm,
-            not prescribed[self._on_facets].all(axis=1).any(),
-            "contact surfaces without prescribed displacements, and some facets of contact pair "
-            f"{pair} have them",
-        )
-        corners, points = self._on_facets[:, :d], bernstein_points(d)
-        pressure, friction, *law = self._admissible(dual, rows, multipliers, bounds)
-        tractions = friction - pressure * self.normal
+        self._axes = np.eye(d) if self.bonded else self.normal[None]
+        tractions = self._carried(self._nodal_tractions(dual, rows, multipliers, bounds))
         require(
             comm,
             not tractions[outside].any(),
             f"multipliers at all nodes of pressed facets, and contact pair {pair} has pressed "
             "facets at a rim",
         )
-        self._tractions, self._bounds, self._origins = (
-            points @ table[corners] for table in (tractions, *law)
+        require(
+            comm,
+            not prescribed[nodes].all(axis=1).any(),
+            "contact surfaces without prescribed displacements, and some facets of contact pair "
+            f"{pair} have them",
         )
-        self._gaps = points @ self._at_nodes(gaps[:, None])[corners]
-        open_corners = (pressure[corners] <= 0.0) & (not self._bonded)
-        self._pressed = points @ open_corners == 0.0
-        traction = fem.Function(V)
-        values = self._carried(tractions)
-        values[self._on_facets] = self._tractions[:, : self._on_facets.shape[1]]
-        traction.x.array[:] = values.ravel()
-        touched = np.unique(facets).astype(np.int32)
-        tags = meshtags(V.mesh, d - 1, touched, np.zeros_like(touched))
-        on_both_sides = ufl.Measure("ds", domain=V.mesh, subdomain_data=tags)(0)
-        self.load = ufl.inner(traction, ufl.TestFunction(V)) * on_both_sides
+        self.tractions = tractions[self._corners]
+        self.sides = [(self.cell, self.facet, self.tractions)]
+        if not rigid:
+            cell, facet, nodes, _ = self._facets_of("primary", touching)
+            turned = np.vstack([normals, -owned.cells.normals[cell, facet]]) - self.normal
+            unpaired = comm.allreduce(len(cell) - len(self.cell))
+            require(comm, not unpaired and (np.abs(turned) < FLATNESS).all(), matching)
+            self.sides.append((cell, facet, tractions[nodes]))
 
     def _facets_of(
         self, side: SideName, touching: Mask
@@ -160,57 +147,50 @@ class ContactSurface:
         tags, numbers = self.pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._owned.facets, facets))
-        nodes = self._owned.facet_nodes[cell, facet]
+        nodes = self._owned.nodes[cell[:, None], self._owned.on_facets[facet]]
         vertices = nodes[:, : self._owned.cells.d]
         keep = touching[vertices].all(axis=1)
         return cell[keep], facet[keep], nodes[keep], vertices[~keep]
 
-    def _admissible(
+    def _nodal_tractions(
         self, dual: DualProgram, rows: RowsOfPair, multipliers: Array, bounds: Array
-    ) -> list[Array]:
-        """Return admissible pressures, friction, slip bounds, and origins of the slip. Collective.
+    ) -> Array:
+        """Return admissible tractions (nodes, d), and set the data of the law. Collective.
 
         Nodes whose multipliers lack components, which are prescribed, have means of neighbours.
-
-        Returns:
-            arrays (nodes, 1), (nodes, d), (nodes, 1) and (nodes, d).
         """
         V, pair, d = self._owned.V, rows.operators, self._owned.cells.d
         stress = multipliers * dual.jump.stress_scale
         origin = (dual.response.offset - dual.jump.gap) * dual.jump.length_scale
-        pressures = np.zeros(len(pair.nodes))
-        pressures[pair.normal_node] = stress[rows.normal]
+        values = np.zeros((V.dofmap.index_map.size_local, 2 * d + 3))
+        values[pair.nodes[pair.normal_node], 0] = stress[rows.normal]
+        values[pair.nodes, 1] = 0.0 if self.bonded else bounds[rows.nodes]
+        values[pair.nodes, 2 : d + 2] = -pair.tangential_vectors(stress[rows.tangential])
+        values[pair.nodes, d + 2 : -1] = pair.tangential_vectors(origin[rows.tangential])
         components = 1 if isinstance(self.pair.friction, Frictionless) else d
         counts = np.bincount(pair.row_node, minlength=len(pair.nodes))
-        columns = (
-            pressures,
-            np.zeros_like(pressures) if self._bonded else bounds[rows.nodes],
-            -pair.tangential_vectors(stress[rows.tangential]),
-            pair.tangential_vectors(origin[rows.tangential]),
-            np.ones_like(pressures),
-        )
-        values = np.zeros((V.dofmap.index_map.size_local, 2 * d + 3))
-        values[pair.nodes] = np.column_stack(columns) * (counts == components)[:, None]
-        table = spread(V, values)
-        corners = self._on_facets[:, :d]
-        sums = np.repeat(table[corners].sum(axis=1, keepdims=True), d, axis=1)
-        around = summed_at_nodes(V.dofmap.index_map, corners, sums)
+        values[pair.nodes, -1] = counts == components
+        table = spread(V, values * values[:, -1:])
+        sums = np.repeat(table[self._corners].sum(axis=1, keepdims=True), d, axis=1)
+        around = summed_at_nodes(V.dofmap.index_map, self._corners, sums)
         table = np.where(table[:, -1:] > 0.0, table, around)
         table /= np.maximum(table[:, -1:], 1.0)
 
-        pressure, bound, friction, origins = np.split(table[:, :-1], [1, 2, d + 2], axis=1)
+        pressure, self._bounds, vectors = table[:, :1], table[:, 1], table[:, 2:-1]
         across = np.eye(d) - np.outer(self.normal, self.normal)
-        friction, origins = friction @ across, origins @ across
-        if not self._bonded:
+        friction, self._origins = vectors[:, :d] @ across, vectors[:, d:] @ across
+        if not self.bonded:
             pressure = np.maximum(pressure, 0.0)
-            sizes = np.linalg.norm(friction, axis=1, keepdims=True)
-            friction *= np.minimum(1.0, bound / np.maximum(sizes, LEAST_DIVISOR))
-        return [pressure, friction, bound, origins]
+            sizes = np.linalg.norm(friction, axis=1)
+            share = np.minimum(1.0, self._bounds / np.maximum(sizes, LEAST_DIVISOR))
+            friction *= share[:, None]
+        self._pressed = self.bonded | (pressure[:, 0] > 0.0)
+        return np.asarray(friction - pressure * self.normal)
 
     def _at_nodes(self, values: Array) -> Array:
-        """Return values (nodes, k), given (n, k) at `_nodes` and zero elsewhere. Collective."""
+        """Return values (nodes, k) that are given (n, k) at `nodes`, zero elsewhere. Collective."""
         result = np.zeros((self._owned.V.dofmap.index_map.size_local, values.shape[1]))
-        result[self._nodes] = values
+        result[self.nodes] = values
         return spread(self._owned.V, result)
 
     def _jumps(self, values: Array) -> Array:
@@ -223,26 +203,31 @@ class ContactSurface:
         return self._at_nodes(jumps.array.reshape(-1, values.shape[1]))
 
     def _carried(self, values: Array) -> Array:
-        """Return values (nodes, d) of the surface, and their opposites at partners. Collective.
+        """Return values (nodes, d) of `nodes` there, and their opposites at partners. Collective.
 
         This is the transpose of the jump.
         """
         if self._jump is None:
-            return values.copy()
+            return values * self._faces
         unknowns, jumps = self._jump.createVecs()
-        jumps.array = values[self._nodes].ravel()
+        jumps.array = values[self.nodes].ravel()
         self._jump.multTranspose(jumps, unknowns)
         return spread(self._owned.V, unknowns.array.reshape(-1, values.shape[1]))
 
     def _coefficients(self, values: Array) -> Array:
         """Return Bernstein's coefficients (m, k, d) of jumps on the secondary facets. Collective.
 
-        Jumps are between their least and largest coefficients.
+        Jumps, taken as quadratic functions, are between their least and largest coefficients: the
+        values at the vertices, and for each edge twice the value in its middle minus the mean of
+        its ends.
         """
-        points, nodes = bernstein_points(self._owned.cells.d), self._on_facets
-        linear = nodes.shape[1] < len(points)
-        of_nodes = points if linear else np.linalg.inv(bernstein(points))
-        return np.asarray(of_nodes @ self._jumps(values)[nodes])
+        jumps = self._jumps(values)
+        corners = jumps[self._corners]
+        i, j = np.triu_indices(corners.shape[1], 1)
+        middles = means = 0.5 * (corners[:, i] + corners[:, j])
+        if self._middles.size:
+            middles = 2.0 * jumps[self._middles] - means
+        return np.concatenate([corners, middles], axis=1)
 
     def lift(self, v: fem.Function) -> None:
         """Move nodes such that nothing penetrates, and bonded surfaces have no jumps. Collective.
@@ -252,21 +237,30 @@ class ContactSurface:
         Args:
             v: the displacement, which changes.
         """
-        d, index_map = self._owned.cells.d, self._owned.V.dofmap.index_map
+        d, axes = self._owned.cells.d, self._axes.sum(axis=0)
         values = v.x.array.reshape(-1, d)
-        along = np.tile(self.axes.sum(axis=0), (len(values), 1))
-        room = self._jumps(self._free * self._carried(along)) @ self.axes.T
-        # a coefficient at a vertex moves like it, one of an edge twice as far as the middle
-        for places, share in ((slice(d), 1.0), (slice(d, self._on_facets.shape[1]), 0.5)):
-            nodes = self._on_facets[:, places]
-            excess = (self._coefficients(values)[:, places] @ self.axes.T) - self._gaps[:, places]
-            excess = np.where(self._pressed[:, places], excess, np.maximum(excess, 0.0))
-            space = room[nodes]
-            moves = np.divide(excess, space, out=np.zeros_like(space), where=space > 0.1)
-            counted = np.concatenate([moves @ self.axes, np.ones((*nodes.shape, 1))], axis=2)
-            sums = summed_at_nodes(index_map, nodes, counted)
-            means = sums[:, :d] / np.maximum(sums[:, d:], 1.0)
-            values -= share * self._free * self._carried(means)
+        room = self._jumps(self._free * self._carried(np.tile(axes, (len(values), 1))))
+        steps = self._steps(self._jumps(values), self._gaps, self._pressed, room)
+        values -= self._free * self._carried(steps)
+        if self._middles.shape[1]:  # degree 2
+            i, j = np.triu_indices(d, 1)
+            start, end = self._corners[:, i], self._corners[:, j]
+            gaps = 0.5 * (self._gaps[start] + self._gaps[end])
+            pressed = self._pressed[start] & self._pressed[end]
+            jumps = self._coefficients(values)[:, d:]
+            # a coefficient moves twice as far as the middle; a node takes the mean of its facets
+            moves = 0.5 * self._steps(jumps, gaps, pressed, self._free[self._middles] * axes)
+            moves = np.concatenate([moves, np.ones((*moves.shape[:2], 1))], axis=2)
+            sums = summed_at_nodes(self._owned.V.dofmap.index_map, self._middles, moves)
+            values -= self._free * sums[:, :d] / np.maximum(sums[:, d:], 1.0)
+
+    def _steps(self, jumps: Array, gaps: Array, pressed: Mask, room: Array) -> Array:
+        """Return moves (..., d) by which jumps (..., d) become admissible, where there is room."""
+        excess = jumps @ self._axes.T - gaps[..., None]
+        excess = np.where(pressed[..., None], excess, np.maximum(excess, 0.0))
+        room = room @ self._axes.T
+        steps = np.divide(excess, room, out=np.zeros_like(room), where=room > 0.1)
+        return np.asarray(steps @ self._axes)
 
     def defects(self, v: fem.Function) -> tuple[Array, Array, float]:
         """Return by how much tractions and jumps miss the law of contact. Collective.
@@ -275,28 +269,37 @@ class ContactSurface:
             the integrals (m,) over facets of p (d - v_n), upper bounds (m,) of those of
             g |v_t - s| + t (v_t - s), and the largest penetration, or jump of bonded surfaces.
         """
-        d, means = self._owned.cells.d, bernstein_means(self._owned.cells.d)
+        d = self._owned.cells.d
         jumps = self._coefficients(v.x.array.reshape(-1, d))
-        normal = self.normal[:, None]
-        closing, pressure = jumps @ normal, -self._tractions @ normal
-        openings = self._gaps - closing
-        friction = self._tractions + pressure * self.normal
-        slips = jumps - closing * self.normal - self._origins
+        # integrals of products of the hats of vertices and Bernstein's quadratic functions
+        i, j = np.triu_indices(d, 1)
+        products, hats = mean_products(d, 3), np.eye(d)
+        mass = np.concatenate([np.einsum("kll->kl", products), 2.0 * products[:, i, j]], axis=1)
+        elevation = np.vstack([hats, 0.5 * (hats[i] + hats[j])])
+        closing, pressure = jumps @ self.normal, -self.tractions @ self.normal
+        friction = self.tractions + pressure[:, :, None] * self.normal
+        slips = jumps - closing[:, :, None] * self.normal
+        slips = slips - elevation @ self._origins[self._corners]
+        openings = self._gaps[self._corners] @ elevation.T - closing
         areas = self._owned.cells.areas[self.cell, self.facet]
-        sizes = np.linalg.norm(slips, axis=2, keepdims=True)
-        complementarity = areas * np.einsum("mkc,kl,mlc->m", pressure, means, openings)
-        lack = areas * np.einsum("mkc,kl,mlc->m", self._bounds, means, sizes)
-        lack += areas * np.einsum("mkc,kl,mlc->m", friction, means, slips)
-        depth = np.abs(jumps) if self._bonded else -openings
-        return complementarity, lack, float(depth.max(initial=0.0))
+        bounds = self._bounds[self._corners]
+        complementarity = np.einsum("mk,kl,ml->m", pressure, mass, openings)
+        lack = np.einsum("mk,kl,ml->m", bounds, mass, np.linalg.norm(slips, axis=2))
+        lack += np.einsum("mkd,kl,mld->m", friction, mass, slips)
+        depth = np.abs(jumps) if self.bonded else -openings
+        return areas * complementarity, areas * lack, float(depth.max(initial=0.0))
 
 
-def _with_all_nodes(V: Any, undeformed: Undeformed) -> PairOperators:
-    """Pair surfaces as if nothing were prescribed, with jumps at all nodes. Collective."""
-    sides = {
-        tag: replace(facets, free=np.ones_like(facets.free))
-        for tag, facets in undeformed.sides.items()
-    }
-    index_map = V.dofmap.index_map
-    nowhere = np.zeros((index_map.size_local + index_map.num_ghosts, V.mesh.geometry.dim))
-    return joined(pair_displaced_surfaces(V, replace(undeformed, sides=sides), nowhere))
+def _with_all_nodes(V: Any, group: PairGroup) -> PairOperators:
+    """Pair surfaces as if nothing were prescribed: all nodes have jumps and distances. Collective.
+
+    The log has the pairing of the problem already.
+    """
+    logger = logging.getLogger("dolfinx_tresca")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
+        return joined(pair_group(V, nothing, group))
+    finally:
+        logger.setLevel(level)

@@ -1,19 +1,22 @@
-"""The cells of a mesh that a rank owns, values at nodes, and checks on all ranks."""
+"""The cells of a mesh that a rank owns, values at their nodes, and checks on all ranks."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
+import basix
+
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import summed_at_nodes
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.guaranteed.cells import Simplices
+from dolfinx_tresca.guaranteed.cells import Simplices, basis_products, mean_products, opposite
 
 
 @dataclass(frozen=True)
@@ -26,8 +29,8 @@ class OwnedCells:
         order: (n, d + 1) numbers of the vertices in DOLFINx's cells.
         vertices: (n, d + 1) global numbers of the vertices.
         facets: (n, d + 1) numbers on this rank of the facets.
-        facet_nodes: (n, d + 1, k) nodes of the displacement on each facet, those at its vertices
-            before those in the middles of its edges, as in `bernstein_points`.
+        nodes: (n, k) nodes of the displacement on this rank: at the vertices, and for degree 2 in
+            the middles of the edges, in the order of `basis_products`.
     """
 
     V: Any
@@ -35,7 +38,36 @@ class OwnedCells:
     order: Indices
     vertices: GlobalNumbers
     facets: Indices
-    facet_nodes: Indices
+    nodes: Indices
+
+    @cached_property
+    def basis(self) -> Array:
+        """The basis functions at `nodes`, see `basis_products`."""
+        return basis_products(self.cells.d + 1, self.V.element.basix_element.degree)
+
+    @cached_property
+    def on_facets(self) -> Indices:
+        """(d + 1, k) positions in `nodes` of the nodes on each facet, vertices before edges."""
+        facets = opposite(self.cells.d)
+        return np.array(
+            [np.flatnonzero(self.basis[:, ends][:, :, ends].any(axis=(1, 2))) for ends in facets]
+        )
+
+    def nodal_forces(self, load: Array, traction: Array) -> Array:
+        """Return the forces (nodes, d) of linear loads and tractions. Collective.
+
+        Args:
+            load: (n, d + 1, d) loads at the vertices.
+            traction: (n, d + 1, d, d) tractions on facets at their vertices.
+        """
+        cells, forces = self.cells, np.zeros((*self.nodes.shape, self.cells.d))
+        terms = [(np.arange(cells.d + 1), cells.volumes, load)]
+        terms += zip(opposite(cells.d), cells.areas.T, np.moveaxis(traction, 1, 0), strict=True)
+        for ends, sizes, values in terms:
+            basis = self.basis[:, ends][:, :, ends]
+            weights = np.einsum("kab,abc->kc", basis, mean_products(len(ends), 3))
+            forces += sizes[:, None, None] * (weights @ values)
+        return summed_at_nodes(self.V.dofmap.index_map, self.nodes, forces)
 
     @classmethod
     def from_space(cls, V: Any) -> OwnedCells:
@@ -44,22 +76,24 @@ class OwnedCells:
         d, count = topology.dim, topology.index_map(topology.dim).size_local
         topology.create_connectivity(d, d - 1)
         topology.create_connectivity(d - 1, d)
-        local, facets = (
-            topology.connectivity(d, k).array.reshape(-1, d + 1)[:count] for k in (0, d - 1)
-        )
+        local = topology.connectivity(d, 0).array.reshape(-1, d + 1)[:count]
         numbers = topology.index_map(0).local_to_global(local.ravel()).reshape(local.shape)
         order = np.argsort(numbers, axis=1)
         points = mesh.geometry.x[geometry_dofmap(mesh)[:count], :d]
-        layout = V.dofmap.dof_layout
-        on_facets = np.array([layout.entity_closure_dofs(d - 1, j) for j in range(d + 1)])
-        nodes = V.dofmap.list[:count][:, on_facets]
+        facets = topology.connectivity(d, d - 1).array.reshape(-1, d + 1)[:count]
+        ends = np.array(basix.topology(mesh.basix_cell())[1])
+        edges = np.zeros((d + 1, d + 1), dtype=np.intp)
+        edges[ends[:, 0], ends[:, 1]] = edges[ends[:, 1], ends[:, 0]] = np.arange(len(ends)) + d + 1
+        i, j = np.triu_indices(d + 1, 1)
+        own = np.hstack([order, edges[order[:, i], order[:, j]]])
+        nodes = V.dofmap.list[:count]
         return cls(
             V=V,
             cells=Simplices(np.take_along_axis(points, order[:, :, None], axis=1)),
             order=order,
             vertices=np.take_along_axis(numbers, order, axis=1),
             facets=np.take_along_axis(facets, order, axis=1),
-            facet_nodes=np.take_along_axis(nodes, order[:, :, None], axis=1),
+            nodes=np.take_along_axis(nodes, own[:, : nodes.shape[1]], axis=1),
         )
 
 

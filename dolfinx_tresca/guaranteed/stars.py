@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import bsr_array, csr_array
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
-from dolfinx_tresca.guaranteed.cells import hat_means, opposite, rigid_motions
+from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange
+from dolfinx_tresca.guaranteed.cells import Simplices, mean_products, opposite, rigid_motions
 from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells
 
 #: Stiffness, relative to that of a cell, that is added so that no star is loose. Equations of stars
@@ -21,97 +23,123 @@ class Stars:
     """The stars of vertices: for each vertex the cells around it.
 
     A star balances the forces that are missing at its vertex, cell by cell in force and moment, by
-    tractions on the facets at the vertex (docs/theory/guaranteed.md). A facet is in the stars of
-    its d vertices, in which it has the same stiffness.
+    tractions on the facets at the vertex (docs/theory/guaranteed.md).
 
-    Tractions (n, d + 1, d, d) are those on the facets of the cells that this rank owns, at their
-    vertices; they are opposite on both sides of a facet. The equations of a star have a row for
-    each of its cells: r forces and moments of the vertex of the cell (n, d + 1, r). They are solved
-    by the rank that owns the vertex of the star.
+    Arguments and results are of the cells that this rank owns. Inside are the copies of all cells
+    around the vertices that this rank owns, and tractions as arrays (facets, d * d): vertex,
+    component. The first cell of a facet has them with the sign 1, the second with -1. A facet is in
+    the stars of its d vertices, in which it has the same stiffness.
     """
 
     def __init__(self, owned: OwnedCells, stiffness: Array, free: Mask) -> None:
-        """Factor the equations of all stars. Collective.
+        """Number the facets of the stars, and factor the equations of all stars. Collective.
 
         Args:
             owned: the cells.
             stiffness: (n, d + 1, d * d, d * d) energies of tractions on each facet.
             free: (n, d + 1, d) whether the traction on a facet is unknown along an axis.
         """
-        self._owned, topology, d = owned, owned.V.mesh.topology, owned.cells.d
-        self._facet_map, self._comm = topology.index_map(d - 1), owned.V.mesh.comm
-        # stiffnesses where tractions are unknown; identities elsewhere, which are left out
-        sums = stiffness + self._across(stiffness)
-        unknown = np.tile(free, d).astype(np.float64)
-        unknown = unknown[..., None] * unknown[..., None, :]
-        sizes = np.trace(sums, axis1=2, axis2=3)[..., None, None] * np.eye(d * d)
-        self._softness = unknown * np.linalg.inv(unknown * sums + (1.0 - unknown) * sizes)
-        # the work of tractions on rigid motions about the centre of a facet, the same for both
-        # cells, and the moments about each vertex of forces at the centre
-        vertices = owned.cells.points[:, opposite(d)]
-        centres = vertices.mean(axis=2, keepdims=True)
-        work = hat_means(rigid_motions(vertices - centres))
-        work *= owned.cells.areas[:, :, None, None, None]
-        self._work = work.reshape(*work.shape[:3], d * d)
-        self._moments = rigid_motions((centres - vertices)[:, :, :, None])[..., d:, 0, :]
-        size = self._work.shape[2]
-        moved = np.tile(np.eye(size), (*vertices.shape[:3], 1, 1))
-        moved[..., d:, :d] = self._moments
-        weights = self._work @ self._softness @ np.swapaxes(self._work, 2, 3)
-        weights = moved @ weights[:, :, None] @ np.swapaxes(moved, 3, 4)
+        mesh, d, self._size = owned.V.mesh, owned.cells.d, len(free)
+        self._comm = mesh.comm
+        starts = mesh.comm.allgather(mesh.topology.index_map(0).local_range[0])
+        owner = np.searchsorted(starts, owned.vertices, side="right") - 1
+        # a copy of each cell for each rank that owns vertices of it
+        ranks = np.sort(owner, axis=1)
+        row, column = np.nonzero(np.diff(ranks, axis=1, prepend=-1))
+        ranks = ranks[row, column]
+        order = np.argsort(ranks, kind="stable")  # the order in which `exchange` sends
+        self._rows, self._ranks = row[order], ranks[order]
+        _, self._sources = exchange(mesh.comm, self._rows, self._ranks)
+        numbers = mesh.topology.index_map(d - 1).local_to_global(owned.facets.ravel())
+        data = owned.cells.points, owner, numbers.reshape(owned.facets.shape), stiffness, free
+        points, owner, numbers, stiffness, free = map(self._copies, data)
+        self._cells = Simplices(points)
 
-        starts = self._comm.allgather(topology.index_map(0).local_range[0])
-        owner = np.searchsorted(starts, owned.vertices.ravel(), side="right") - 1
-        self._order = np.argsort(owner, kind="stable")
-        self._ranks = owner[self._order]
-        facets = self._facet_map.local_to_global(owned.facets.ravel()).reshape(owned.facets.shape)
-        stars = facets[:, opposite(d)] * topology.index_map(0).size_global
-        stars += owned.vertices[:, :, None]
-        data = stars.reshape(-1, d), self._at_corners(weights).reshape(-1, d, size, size)
-        numbers, weights = (exchange(self._comm, x[self._order], self._ranks)[0] for x in data)
-        with errors_on_all_ranks(self._comm):
-            self._factor = _factored(numbers, weights)
+        _, uses, facets = np.unique(numbers, return_index=True, return_inverse=True)
+        facets = facets.reshape(numbers.shape)
+        signs = np.full(numbers.shape, -1.0)
+        signs.flat[uses] = 1.0
+        shape = numbers.size, len(uses)
+        self._sides = csr_array((signs.ravel(), facets.ravel(), np.arange(shape[0] + 1)), shape)
+        self._softness = self._softnesses(stiffness, free)
+        cell, facet = np.divmod(uses, d + 1)
+        vertices = cell[:, None], opposite(d)[facet]
+        self._on_this_rank = (owner == mesh.comm.rank)[vertices]  # the stars of a facet's vertices
+        # work of tractions on the rigid motions about each vertex: the same for both cells
+        arms = points[vertices][:, None] - points[vertices][:, :, None]
+        work = mean_products(d, 2) @ rigid_motions(arms)
+        work *= self._cells.areas[cell, facet, None, None, None, None]
+        self._work = work.reshape(*arms.shape[:2], -1, d * d)
 
-    def _across(self, values: Array) -> Array:
-        """Return for each facet (n, d + 1, ...) the values of the cell beyond, or 0. Collective."""
-        facets = self._owned.facets
-        flat = values.reshape(*facets.shape, -1)
-        sums = summed_at_nodes(self._facet_map, facets, flat)[facets]
-        return np.asarray((sums - flat).reshape(values.shape))
+        self._cell, self._corner = np.nonzero(owner == mesh.comm.rank)
+        sides, corner = opposite(d)[self._corner], self._corner[:, None]
+        places = self._cell[:, None], sides
+        unknown = d * facets[places] + corner - (corner > sides)
+        starts = np.arange(0, unknown.size + 1, d)
+        values = signs[places].ravel(), unknown.ravel(), starts
+        self._incidence = csr_array(values, (len(corner), d * shape[1]))
+        with errors_on_all_ranks(mesh.comm):
+            self._factor = self._factored()
 
-    def _at_corners(self, values: Array) -> Array:
-        """Return (n, d + 1, d, ...) from values of facets at their vertices, by the vertices."""
-        sides = opposite(self._owned.cells.d)
-        corner = np.arange(len(sides))[:, None]
-        return np.asarray(values[:, sides, corner - (corner > sides)])
+    def _softnesses(self, stiffness: Array, free: Mask) -> Array:
+        """Return the inverse stiffnesses (facets, d * d, d * d) of tractions that are free."""
+        sums = abs(self._sides).T @ stiffness.reshape(self._sides.shape[0], -1)
+        sums = sums.reshape(-1, *stiffness.shape[2:])
+        loose = abs(self._sides).T @ free.reshape(self._sides.shape[0], -1) > 0.0
+        unknown = np.tile(loose, free.shape[2]).astype(np.float64)
+        unknown = unknown[:, :, None] * unknown[:, None]
+        diagonal = np.trace(sums, axis1=1, axis2=2)[:, None, None] * np.eye(sums.shape[1])
+        return np.asarray(unknown * np.linalg.inv(unknown * sums + (1.0 - unknown) * diagonal))
 
-    def _softened(self, forces: Array) -> Array:
-        """Return the tractions (n, d + 1, d, d) that forces cause on facets."""
-        d = self._owned.cells.d
-        flat = forces.reshape(*forces.shape[:2], d * d)
-        tractions = np.einsum("nfst,nft->nfs", self._softness, flat)
-        return np.asarray(tractions.reshape(*flat.shape[:2], d, d))
+    def _factored(self) -> PETSc.PC:
+        """Return the factors of the equations of all stars: a graph's, with blocks as weights."""
+        weights = self._work @ self._softness[:, None] @ np.swapaxes(self._work, 2, 3)
+        size = weights.shape[-1]
+        weights = weights.reshape(-1, size, size)
+        entries = abs(self._incidence) @ np.einsum("nii->ni", weights)
+        loose = np.where(entries > 0.0, LOOSE * entries, 1.0)[:, :, None] * np.eye(size)
+        rows = np.arange(len(loose) + 1)
+        signs = self._incidence.data[:, None, None]
+        facets, starts = self._incidence.indices, self._incidence.indptr
+        weighted = bsr_array((signs * weights[facets], facets, starts))
+        incidence = bsr_array((signs * np.eye(size), facets, starts))
+        blocks = weighted @ incidence.T + bsr_array((loose, rows[:-1], rows))
+        blocks.sort_indices()
+        pattern = (array.astype(PETSc.IntType) for array in (blocks.indptr, blocks.indices))
+        csr = (*pattern, blocks.data.ravel())
+        matrix = PETSc.Mat().createBAIJ(blocks.shape, size, csr=csr, comm=PETSc.COMM_SELF)
+        factor = PETSc.PC().create(PETSc.COMM_SELF)
+        factor.setType("lu")  # in blocks faster than "cholesky"
+        factor.setFactorSolverType("petsc")
+        factor.setFactorOrdering("rcm")
+        factor.setOperators(matrix)
+        factor.setUp()
+        return factor
+
+    def _copies(self, values: Any) -> Any:
+        """Return the rows of all copies of cells on this rank. Collective."""
+        return exchange(self._comm, np.ascontiguousarray(values[self._rows]), self._ranks)[0]
+
+    def _on_cells(self, tractions: Array) -> Array:
+        """Return the sums (n, d + 1, d, d) of tractions on facets, of all ranks. Collective."""
+        d = self._cells.d
+        on_copies = (self._sides @ tractions).reshape(-1, d + 1, d, d)
+        returned, _ = exchange(self._comm, on_copies, self._sources)
+        result = np.zeros((self._size, *returned.shape[1:]))
+        np.add.at(result, self._rows, returned)
+        return result
 
     def _balancing(self, missing: Array) -> Array:
-        """Return the least tractions with the forces and moments (n, d + 1, r). Collective."""
-        size = missing.shape[2]
-        rows = missing.reshape(-1, size)[self._order]
-        right, sources = exchange(self._comm, rows, self._ranks)
-        supports = np.zeros_like(right)
-        vectors = (
+        """Return the least tractions with the forces and moments (rows, r), of all stars."""
+        supports = np.zeros_like(missing)
+        right, result = (
             PETSc.Vec().createWithArray(array.ravel(), comm=PETSc.COMM_SELF)
-            for array in (right, supports)
+            for array in (np.ascontiguousarray(missing), supports)
         )
-        self._factor.apply(*vectors)
-        returned, _ = exchange(self._comm, supports, sources)
-        result = np.empty_like(rows)
-        result[self._order] = returned
-        of_facets = result.reshape(missing.shape)[:, opposite(self._owned.cells.d)]
-        motions = of_facets.sum(axis=2)
-        d = self._moments.shape[-1]
-        motions[..., :d] += np.einsum("nfskd,nfsk->nfd", self._moments, of_facets[..., d:])
-        forces = np.einsum("nfrt,nfr->nft", self._work, motions)
-        return self._softened(forces - self._across(forces))
+        self._factor.apply(right, result)
+        differences = (self._incidence.T @ supports).reshape(*self._work.shape[:3])
+        forces = (differences[:, :, None] @ self._work).sum(axis=1)
+        return np.asarray((forces @ self._softness)[:, 0])
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return tractions without resultants that decrease a quadratic function. Collective.
@@ -122,13 +150,11 @@ class Stars:
         Args:
             gradient: (n, d + 1, d, d) minus its derivative by the tractions on the cells.
         """
-        d = self._owned.cells.d
-        tractions = self._softened(gradient - self._across(gradient))
-        flat = tractions.reshape(*tractions.shape[:2], d * d)
-        resultants = np.einsum("nfrt,nft->nfr", self._work, flat)
-        of_stars = np.repeat(resultants[:, :, None], d, axis=2)
-        of_stars[..., d:] += np.einsum("nfskd,nfd->nfsk", self._moments, resultants[..., :d])
-        return d * tractions - self._balancing(self._at_corners(of_stars).sum(axis=2))
+        forces = self._sides.T @ self._copies(gradient).reshape(self._sides.shape[0], -1)
+        tractions = (self._softness @ forces[:, :, None])[:, :, 0]
+        resultants = (self._work @ tractions[:, None, :, None]).reshape(-1, self._work.shape[2])
+        stars = self._on_this_rank.sum(axis=1, keepdims=True)
+        return self._on_cells(stars * tractions - self._balancing(self._incidence @ resultants))
 
     def equilibrated(self, traction: Array, force: Array) -> Array:
         """Return tractions (n, d + 1, d, d) in equilibrium. Collective.
@@ -142,44 +168,13 @@ class Stars:
             force: (n, d + 1, d) forces at the vertices of cells, which the tractions are to
                 balance. Their sums around vertices are those of the given tractions.
         """
-        d = self._owned.cells.d
-        means = (traction - self._across(traction)) / (1.0 + self._across(np.ones_like(traction)))
-        missing = force - self._owned.cells.facet_forces(means)
+        d = self._cells.d
+        means = self._sides.T @ self._copies(traction).reshape(self._sides.shape[0], -1)
+        means /= abs(self._sides).sum(axis=0)[:, None]
+        on_copies = (self._sides @ means).reshape(-1, d + 1, d, d)
+        missing = self._copies(force) - self._cells.facet_forces(on_copies)
         # a force at the vertex itself has no moment about it
-        missing = np.pad(missing, ((0, 0), (0, 0), (0, d * (d - 1) // 2)))
-        return np.asarray(means + self._balancing(missing))
-
-
-def _factored(stars: GlobalNumbers, weights: Array) -> PETSc.PC:
-    """Return the factors of the equations of stars: a graph's, with blocks as weights.
-
-    Args:
-        stars: (rows, d) numbers of each facet of a row, in the star of its vertex.
-        weights: (rows, d, r, r) weights of these facets.
-    """
-    rows, d, size, _ = weights.shape
-    diagonal = weights.sum(axis=1)
-    entries = np.einsum("nii->ni", diagonal)
-    diagonal += np.where(entries > 0.0, LOOSE * entries, 1.0)[:, :, None] * np.eye(size)
-    order = np.argsort(stars.ravel(), kind="stable")
-    alike = np.diff(stars.ravel()[order]) == 0
-    facet, beyond = order[:-1][alike], order[1:][alike]  # of the cells on both sides
-    blocks = np.concatenate([diagonal, -weights.reshape(-1, size, size)[facet]])
-    own, inner = np.arange(rows), np.arange(rows, len(blocks))
-    row = np.concatenate([own, facet // d, beyond // d])
-    column = np.concatenate([own, beyond // d, facet // d])
-    numbers = csr_array((np.concatenate([own, inner, inner]), (row, column)), (rows, rows))
-    pattern = (array.astype(PETSc.IntType) for array in (numbers.indptr, numbers.indices))
-    matrix = PETSc.Mat().createBAIJ(
-        (size * rows, size * rows),
-        size,
-        csr=(*pattern, blocks[numbers.data].ravel()),
-        comm=PETSc.COMM_SELF,
-    )
-    factor = PETSc.PC().create(PETSc.COMM_SELF)
-    factor.setType("lu")  # in blocks faster than "cholesky"
-    factor.setFactorSolverType("petsc")
-    factor.setFactorOrdering("rcm")
-    factor.setOperators(matrix)
-    factor.setUp()
-    return factor
+        missing = np.pad(missing[self._cell, self._corner], ((0, 0), (0, d * (d - 1) // 2)))
+        # the traction at a vertex counts on the rank that owns the vertex
+        means *= np.repeat(self._on_this_rank, d, axis=1)
+        return self._on_cells(means + self._balancing(missing))

@@ -33,13 +33,9 @@ from scenes.assembled import linear_solution
 from scenes.elasticity import elasticity, fixed
 from scenes.known_contact import block_on_plane
 from scenes.manufactured import blocks_scene, norm
-from scenes.patches import block, mesh_of
 from scenes.two_bricks import two_bricks
 
 ROUNDING = 1e-9
-
-#: Place, component and value of prescribed displacements.
-TOP_AND_BOTTOM = ((0, 0, 0.0), (0, 1, 0.0), (1, 0, 0.0), (1, 1, -0.04))
 
 
 @pytest.mark.parametrize("kind", ["lifts", "slips"])
@@ -291,39 +287,6 @@ def test_a_body_with_an_edge_on_a_plane(comm, law):
     assert 0.1 * square <= 2.0 * (energies[0] - energies[1]) <= square
     assert bounds[1].error < bounds[0].error
     assert bounds[0].oscillation <= 1e-6 * bounds[0].error
-
-
-@pytest.mark.parametrize("law", [Frictionless(), Bonded()], ids=str)
-def test_a_narrow_body_on_a_wide_one(comm, law):
-    """No traction acts on the wide body beside the narrow one; energies as above."""
-    energies, bounds = [], []
-    for n in (2, 4, 8):
-        wide = block("triangle", (2 * n, n), [(0.0, 1.0), (0.0, 0.5)], 0.0, 0)
-        narrow = block("triangle", (n, n), [(0.25, 0.75), (0.5, 1.0)], 0.0, 0)
-        points = np.vstack([wide[0], narrow[0]])
-        mesh = mesh_of(comm, "triangle", 1, points, np.vstack([wide[1], narrow[1] + len(wide[0])]))
-        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        mesh.topology.create_connectivity(1, 2)
-        exterior = exterior_facet_indices(mesh.topology)
-        middle = compute_midpoints(mesh, 1, exterior)
-        cells = mesh.topology.connectivity(1, 2)
-        owner = np.array([cells.links(facet)[0] for facet in exterior])
-        above = compute_midpoints(mesh, 2, owner.astype(np.int32))[:, 1] > 0.5
-        touching = np.abs(middle[:, 1] - 0.5) < 1e-9
-        values = np.where(touching & above, 1, np.where(touching, 2, 3)).astype(np.int32)
-        tags = meshtags(mesh, 1, exterior, values)
-        held = [exterior[np.abs(middle[:, 1] - y) < 1e-9] for y in (0.0, 1.0)]
-        a = elasticity(V, 1.0)
-        L = ufl.inner(fem.Constant(mesh, (0.02, 0.0)), ufl.TestFunction(V)) * ufl.dx
-        bcs = [fixed(V, held[k], value, i) for k, i, value in TOP_AND_BOTTOM]
-        with ContactProblem(a, L, [ContactPair(tags, 1, 2, law)], bcs=bcs) as problem:
-            u = problem.solve(rtol=1e-9).u
-            bounds.append(total(problem.guaranteed_error().cell_errors))
-        energy = 0.5 * ufl.action(ufl.action(a, u), u) - ufl.action(L, u)
-        energies.append(comm.allreduce(fem.assemble_scalar(fem.form(energy))))
-    for k in (0, 1):
-        assert 0.1 * bounds[k] ** 2 <= 2.0 * (energies[k] - energies[2]) <= bounds[k] ** 2
-    assert bounds[2] < bounds[1] < bounds[0]
 
 
 @pytest.mark.parallel

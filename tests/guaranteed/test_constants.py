@@ -12,7 +12,7 @@ from dolfinx_tresca.guaranteed.cells import (
     TRACE,
     Simplices,
     StressEnergies,
-    hat_means,
+    mean_products,
     opposite,
     rigid_motions,
     stress_data,
@@ -98,7 +98,7 @@ class DividedSimplex:
         d, energy, balance = self.cells.d, *self.matrices()
         if side is None:
             given = np.arange(self.size, len(energy))
-            block = self.cells.volumes[0] * np.kron(hat_means(np.eye(d + 1)), np.eye(d))
+            block = self.cells.volumes[0] * np.kron(mean_products(d + 1, 2), np.eye(d))
         else:
             corners = np.vstack([np.zeros(d), np.cumsum(np.eye(d), axis=0)])
             whole = Simplices(corners[None])
@@ -107,7 +107,7 @@ class DividedSimplex:
             assert len(facets) == self.k ** (d - 1)
             given = (facets[:, None] * d * d + np.arange(d * d)).ravel()
             area = whole.areas[0, side] / len(facets)
-            block = area * np.kron(hat_means(np.eye(d)), np.eye(d))
+            block = area * np.kron(mean_products(d, 2), np.eye(d))
         free = (self.inside[:, None] * d * d + np.arange(d * d)).ravel()
         root = np.linalg.inv(np.linalg.cholesky(block)).T
         root = np.kron(np.eye(len(given) // len(root)), root)
@@ -230,7 +230,7 @@ def test_linear_stresses_are_in_the_element(d):
     energies = StressEnergies(cells, identity(d, 5))
     linear = rng.standard_normal((5, d + 1, d, d))
     linear += np.swapaxes(linear, 2, 3)
-    squares = np.einsum("kl,nkab,nlab->n", hat_means(np.eye(d + 1)), linear, linear)
+    squares = np.einsum("kl,nkab,nlab->n", mean_products(d + 1, 2), linear, linear)
     assert np.allclose(energies.squared_norms(stress_data(cells, linear)), squares * cells.volumes)
 
 
