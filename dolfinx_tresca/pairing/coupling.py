@@ -250,8 +250,12 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
     every = np.eye(hats.shape[1])
     sums = redistributed(np.broadcast_to(every, hats.shape), carries)
     masses = sums @ hats @ sums.transpose(0, 2, 1)
-    missing = np.logical_not(masses.any(axis=2))[:, :, None] * every
-    return np.asarray(masses.sum(axis=2)[:, :, None] * np.linalg.inv(masses + missing) @ sums)
+    weights = masses.sum(axis=2)[:, :, None]
+    # a mass matrix M of a strip is nearly singular; the coefficients (1 + t) D (M + t D)^-1, with
+    # the row sums D of M, keep the sum of the basis for any t
+    shifted = masses + ROUNDING * weights * every
+    shifted += np.logical_not(masses.any(axis=2))[:, :, None] * every
+    return np.asarray((1.0 + ROUNDING) * weights * np.linalg.inv(shifted) @ sums)
 
 
 def redistributed(values: Array, receives: Mask) -> Array:

@@ -9,6 +9,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, ContactStatus, Coulomb
+from dolfinx_tresca.pairing.coupling import dual_coefficients
 from scenes.elasticity import elasticity, fixed
 from scenes.patches import BOTTOM, KINDS, LOWER, TOP, UPPER, dim_of, patch
 from scenes.scene import EPS
@@ -68,3 +69,17 @@ def test_bodies_that_contact_holds_are_found_wherever_they_are(comm, kind, scale
     assert solution.status is ContactStatus.CONVERGED
     force = 1e-3 * young * scale ** (dim - 1)
     assert solution.normal_force == pytest.approx(force, rel=SUMMED * EPS * max(far / scale, 10.0))
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_dual_functions_on_a_strip_of_a_facet(width):
+    """The mass matrix of a strip is nearly singular; the basis is biorthogonal all the same."""
+    place, weight = np.polynomial.legendre.leggauss(4)
+    along, across = np.meshgrid(0.5 + 0.5 * place, width * (0.5 + 0.5 * place))
+    shares = 0.25 * np.outer(weight, weight).ravel()
+    hats = np.array([1.0 - along - across, along, across]).reshape(3, -1)
+    masses = (hats * shares) @ hats.T
+    dual = dual_coefficients(masses[None], np.ones((1, 3), dtype=bool))[0]
+    of_dual = (dual @ masses).sum(axis=1)
+    assert of_dual == pytest.approx(masses.sum(axis=1), rel=1e-9)
+    assert dual @ masses == pytest.approx(np.diag(of_dual), abs=1e-9)
