@@ -102,7 +102,7 @@ class Visibility:
         Args:
             own: whether the facets are on the secondary side.
             piece: (n,) the secondary piece of each normal, ascending.
-            places: (n, d) where the normal meets the plane of the piece, see `hidden`.
+            places: (n, d) points where the normal meets the plane of the piece, see `hidden`.
             reach: (n,) largest distance from the plane at which a crossing matters [length].
 
         Yields:
