@@ -184,12 +184,13 @@ class Obstacles:
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
-        """Return whether the distance of each pair's obstacle has changed since `note_pairing`.
+        """Return for each pair whether distances from or normals of its obstacle have changed.
 
-        An obstacle that moves along its own surface does not change its distance. Collective.
+        The change is that since `note_pairing`. An obstacle that moves along its own surface
+        changes neither. Collective.
         """
-        extent = np.abs(self._V.mesh.geometry.x).max(initial=0.0)
-        limit = ROUNDING * np.array([extent, 1.0, 1.0, 1.0])
+        extent_on_rank = np.abs(self._V.mesh.geometry.x).max(initial=0.0)
+        limit = ROUNDING * np.array([extent_on_rank, 1.0, 1.0, 1.0])  # of the distance, the normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
             for before, after in zip(self._at_pairing, self._distances(jump), strict=True)

@@ -67,19 +67,21 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
     jump, x = contact.dual.jump, contact.multipliers
     cones = contact.dual.admissible.at_point(x, contact.gradient)
+    # an entry for each pair with a curve, in the order of the pairs
     curves = iter(cones.curve_arguments(x) if isinstance(cones, FrictionCones) else ())
     is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
 
-    def radii(constant: float, coefficient: float) -> Array:
+    def radii_of_bound(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
         ones = [np.ones(len(pair.nodes)) for pair in jump.pairs]
         bounds = [NodalBounds(constant * unit, coefficient * unit, np.inf * unit) for unit in ones]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
-    by_constant = radii(1.0, 0.0)
+    # derivatives of the radii of min(c + F p, l) by c, F and l
+    by_constant = radii_of_bound(1.0, 0.0)
     by_term = {
         "constant": by_constant,
-        "coefficient": np.where(is_limited, 0.0, radii(0.0, 1.0)),
+        "coefficient": np.where(is_limited, 0.0, radii_of_bound(0.0, 1.0)),
         "limit": np.where(is_limited, by_constant, 0.0),
     }
     result: list[NodalField] = []
@@ -94,7 +96,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
             scalar = getattr(pair.friction.terms, term)
             if term == "coefficient" and pair.friction.terms.curve is not None:
                 scalar = partial(pressed_values, *next(curves))
-            if not isinstance(scalar, tuple):  # `check_controls` refuses controls in two bounds
+            if not isinstance(scalar, tuple):  # `check_controls` refuses those along two directions
                 by_bound = by_term[term][disc], (len(x) + disc, node)
                 fields.append((scalar, f"{words} of {pair}", by_bound))
         shape = len(x) + len(by_constant), len(node)

@@ -8,7 +8,7 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 - `JumpOperator`: B with its scales, gaps and rows of each pair; `moved_jump` pairs displaced
   surfaces anew, and `Carry` takes multipliers from one B to the next.
 - `SlipBounds`: the user's laws at nodes, as `NodalBounds`, of which `JumpOperator.bounded` makes a
-  `FeasibleSet`, or `FrictionCones` if any coefficient is positive: what follows asks for this type.
+  `FeasibleSet`, or `FrictionCones` if any bound depends on the pressure.
 - `FrictionDiscs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
   evaluates any field of the user at nodes.
 - `ContactCompliance`: all that follows from one K: A, near field, bound, error estimate.
@@ -23,7 +23,7 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 | A | `DualOperator` in `ContactCompliance.operator` | B K^-1 B' |
 | b, d, s | `ElasticResponse.b`, `JumpOperator.gap`, `SlipHistory.origin` | as in (38.4) |
 | lambda, x | `multipliers`, `x` | pressures and tangential tractions, scaled |
-| r | `gradient` | (d; s) - B u = A x - b: open gap, and minus the slip |
+| r | `gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
 | Lambda, g | `DualProgram.admissible`, `FeasibleSet.radius` | feasible set, slip bounds |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
 | D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |

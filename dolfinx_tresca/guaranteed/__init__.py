@@ -17,5 +17,5 @@ that are in equilibrium around each vertex; what contact and curved loads lack i
 | d | `Simplices.d` | dimension of space |
 | v | `ContactSurface.lift` | a displacement near u that does not penetrate |
 
-Read first: `bound.guaranteed_error`, `stars.Stars`, `cells.stress_products`.
+Read first: `bound.Bodies.error`, `stars.Stars`, `cells.stress_products`.
 """

@@ -239,24 +239,28 @@ class Bodies:
         stress = np.sqrt(self.energies.squared_norms(difference))
         return Distance(difference, stress, candidate.loads.oscillation, *defects)
 
-    def _equilibrated(self, candidate: Candidate, target: Array) -> Array:
-        """Return data of a stress in equilibrium, see `StressEnergies`. Collective."""
+    def _equilibrated(self, candidate: Candidate, reference: Array) -> Array:
+        """Return data of a stress in equilibrium with a candidate's loads. Collective.
+
+        Boundary tractions are the given ones; others come from `candidate.balanced`, corrected star
+        by star. The data of `reference`, see `StressEnergies`, only tell how large forces are.
+        """
         cells, count, load = self.cells, self.energies.count, candidate.loads.load
         given, shape = candidate.loads.traction, candidate.loads.traction.shape
         discrete = stress_data(cells, candidate.balanced)[:, :count].reshape(shape)
         near = np.where(self.unknown[:, :, None], discrete, given)
-        flux = np.einsum("nkab,njb->nja", candidate.balanced, cells.gradients) / shape[1]
+        internal = np.einsum("nkab,njb->nja", candidate.balanced, cells.gradients) / shape[1]
         loaded = cells.volume_forces(load)
-        tractions = self.stars.equilibrated(near, cells.volumes[:, None, None] * flux - loaded)
+        tractions = self.stars.equilibrated(near, cells.volumes[:, None, None] * internal - loaded)
 
         forces = cells.facet_forces(tractions)
-        # a body may be free of forces where the target, of another load, is not
-        aimed = cells.facet_forces(target[:, :count].reshape(shape))
+        # a body may be free of forces where the reference, of another load, is not
+        aimed = cells.facet_forces(reference[:, :count].reshape(shape))
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces + loaded)
         largest = [np.abs(field).max(initial=0.0) for field in (lacking, forces, aimed)]
         missing, *sizes = reduce_array(self.comm, largest, MPI.MAX)
-        if not missing <= IMBALANCE * max(sizes):  # nor is a number that is none
+        if not missing <= IMBALANCE * max(sizes):  # NaN fails, too
             raise ContactError(
                 f"the displacement is not in equilibrium: on a cell, forces of {missing:.1e} are "
                 f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "

@@ -48,8 +48,8 @@ class Stars:
         row, column = np.nonzero(np.diff(ranks, axis=1, prepend=-1))
         ranks = ranks[row, column]
         order = np.argsort(ranks, kind="stable")  # the order in which `exchange` sends
-        self._rows, self._ranks = row[order], ranks[order]
-        _, self._sources = exchange(mesh.comm, self._rows, self._ranks)
+        self._copied_cells, self._ranks = row[order], ranks[order]
+        _, self._ranks_of_copies = exchange(mesh.comm, self._copied_cells, self._ranks)
         numbers = mesh.topology.index_map(d - 1).local_to_global(owned.facets.ravel())
         data = owned.cells.points, owner, numbers.reshape(owned.facets.shape), stiffness, free
         points, owner, numbers, stiffness, free = map(self._copies, data)
@@ -60,7 +60,7 @@ class Stars:
         signs = np.full(numbers.shape, -1.0)
         signs.flat[uses] = 1.0
         shape = numbers.size, len(uses)
-        self._sides = csr_array((signs.ravel(), facets.ravel(), np.arange(shape[0] + 1)), shape)
+        self._signs = csr_array((signs.ravel(), facets.ravel(), np.arange(shape[0] + 1)), shape)
         self._softness = self._softnesses(stiffness, free)
         cell, facet = np.divmod(uses, d + 1)
         vertices = cell[:, None], opposite(d)[facet]
@@ -83,9 +83,9 @@ class Stars:
 
     def _softnesses(self, stiffness: Array, free: Mask) -> Array:
         """Return the inverse stiffnesses (facets, d * d, d * d) of tractions that are free."""
-        sums = abs(self._sides).T @ stiffness.reshape(self._sides.shape[0], -1)
+        sums = abs(self._signs).T @ stiffness.reshape(self._signs.shape[0], -1)
         sums = sums.reshape(-1, *stiffness.shape[2:])
-        loose = abs(self._sides).T @ free.reshape(self._sides.shape[0], -1) > 0.0
+        loose = abs(self._signs).T @ free.reshape(self._signs.shape[0], -1) > 0.0
         unknown = np.tile(loose, free.shape[2]).astype(np.float64)
         unknown = unknown[:, :, None] * unknown[:, None]
         diagonal = np.trace(sums, axis1=1, axis2=2)[:, None, None] * np.eye(sums.shape[1])
@@ -118,15 +118,19 @@ class Stars:
 
     def _copies(self, values: Any) -> Any:
         """Return the rows of all copies of cells on this rank. Collective."""
-        return exchange(self._comm, np.ascontiguousarray(values[self._rows]), self._ranks)[0]
+        copied = np.ascontiguousarray(values[self._copied_cells])
+        return exchange(self._comm, copied, self._ranks)[0]
 
     def _on_cells(self, tractions: Array) -> Array:
-        """Return the sums (n, d + 1, d, d) of tractions on facets, of all ranks. Collective."""
+        """Return tractions (n, d + 1, d, d) on the owned cells. Collective.
+
+        They are the sums of the contributions (facets, d * d) of all ranks, with each cell's sign.
+        """
         d = self._cells.d
-        on_copies = (self._sides @ tractions).reshape(-1, d + 1, d, d)
-        returned, _ = exchange(self._comm, on_copies, self._sources)
+        on_copies = (self._signs @ tractions).reshape(-1, d + 1, d, d)
+        returned, _ = exchange(self._comm, on_copies, self._ranks_of_copies)
         result = np.zeros((self._size, *returned.shape[1:]))
-        np.add.at(result, self._rows, returned)
+        np.add.at(result, self._copied_cells, returned)
         return result
 
     def _balancing(self, missing: Array) -> Array:
@@ -150,7 +154,7 @@ class Stars:
         Args:
             gradient: (n, d + 1, d, d) minus its derivative by the tractions on the cells.
         """
-        forces = self._sides.T @ self._copies(gradient).reshape(self._sides.shape[0], -1)
+        forces = self._signs.T @ self._copies(gradient).reshape(self._signs.shape[0], -1)
         tractions = (self._softness @ forces[:, :, None])[:, :, 0]
         resultants = (self._work @ tractions[:, None, :, None]).reshape(-1, self._work.shape[2])
         stars = self._on_this_rank.sum(axis=1, keepdims=True)
@@ -169,9 +173,9 @@ class Stars:
                 balance. Their sums around vertices are those of the given tractions.
         """
         d = self._cells.d
-        means = self._sides.T @ self._copies(traction).reshape(self._sides.shape[0], -1)
-        means /= abs(self._sides).sum(axis=0)[:, None]
-        on_copies = (self._sides @ means).reshape(-1, d + 1, d, d)
+        means = self._signs.T @ self._copies(traction).reshape(self._signs.shape[0], -1)
+        means /= abs(self._signs).sum(axis=0)[:, None]
+        on_copies = (self._signs @ means).reshape(-1, d + 1, d, d)
         missing = self._copies(force) - self._cells.facet_forces(on_copies)
         # a force at the vertex itself has no moment about it
         missing = np.pad(missing[self._cell, self._corner], ((0, 0), (0, d * (d - 1) // 2)))

@@ -174,11 +174,11 @@ class SmoothSurface:
         """Give the corners of facets beside kinks the facet's normal, see `KINK_ANGLE`.
 
         Args:
-            smooth: (n,) factor of `_smoothness`.
+            smooth: (n,) 1 on smooth facets, 0 next to kinks (`_smoothness`).
             turns: (n,) angle by which the fitted normal turns over each facet [rad].
         """
-        is_kinked = (1.0 - smooth) * np.clip(turns / KINK_ANGLE - 1.0, 0.0, 1.0)
-        self.corner_normals += is_kinked[:, None, None] * (
+        kinkedness = (1.0 - smooth) * np.clip(turns / KINK_ANGLE - 1.0, 0.0, 1.0)
+        self.corner_normals += kinkedness[:, None, None] * (
             self._facet_normals[:, None] - self.corner_normals
         )
         self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
@@ -274,6 +274,9 @@ class SmoothSurface:
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
+
+        This is the exact surface where it is known, else the fitted one; bent facets are their own
+        surface, with offset zero.
 
         Args:
             facet: (n,) the facet of each point.

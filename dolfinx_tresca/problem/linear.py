@@ -32,7 +32,7 @@ from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.goal import ContactForce, Goal, NormalForce, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solvers.convergence import LEAST_ACCURACY
+from dolfinx_tresca.solvers.convergence import SMALLEST_TOLERANCE
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.units import Units
@@ -377,18 +377,19 @@ class ContactProblem(ContactProcess):
         bodies, solved, gain = self._checked_for_bounds(gain)
         contact, linear = self._contact, self._contact.linear
         functional = Functional.of_goal(goal, bodies, solved.dual)
-        size, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
-        load = size * functional.form if L is None else L + size * functional.form
+        multiple, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
+        load = multiple * functional.form if L is None else L + multiple * functional.form
         # differences of these solves count
-        options = self.options.with_changes(rtol=LEAST_ACCURACY)
+        options = self.options.with_changes(rtol=SMALLEST_TOLERANCE)
         # the load of a force is balanced by the stress of `functional.w`
         balanced = load if functional.w is None else L
 
         def candidate(t: float) -> Candidate:
-            size.value = t
+            multiple.value = t
             contact.solve(options, self.units, lambda iteration: False)
-            solved = contact.solution_for("a guaranteed bound")  # all multipliers give one
-            return bodies.candidate(solved.dual, solved.multipliers, solved.fields.u, balanced)
+            # the bound holds for any multipliers, converged or not
+            loaded = contact.solution_for("a guaranteed bound")
+            return bodies.candidate(loaded.dual, loaded.multipliers, loaded.fields.u, balanced)
 
         with contact.restored(), linear.loaded(load):
             return guaranteed_goal(

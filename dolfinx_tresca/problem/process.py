@@ -128,6 +128,7 @@ class ContactProcess(PetscOwner, Tabulated):
         contact = self._contact
         contact.update_gaps()
         component = contact.linear.component
+        # with a mixed space, K has more columns than V
         columns = () if component is None else (component.columns,)
         return tuple(
             ContactOperators(contact.linear.V, rows.operators, pair, *columns)

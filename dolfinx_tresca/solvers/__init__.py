@@ -1,5 +1,7 @@
 """Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4).
 
+Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory.
+
 The room imports numpy and scipy only, and can be read and tested with dense matrices.
 
 The problem is given by protocols (`problem.py`): A and the response to multipliers are operators of
@@ -21,12 +23,12 @@ which every product is counted. Arrays have the rows of one rank; `Reductions` a
 | symbol | name in the code | meaning |
 |---|---|---|
 | lambda, x | `x` | multipliers |
-| r | `r`, `gradient` | A x - b, with the constraints' terms G c |
+| r | `Point.r`, `DualSolution.gradient` | A x - b - G c; `Iterate.r` is without G c |
 | c | `c` | multipliers of the constraints |
 | G, S, e | `EqualityConstraints.columns`, `.softness`, `.values` | G'x + S c = e |
 | M | `model` | model of A |
 | P, rho | `FeasibleSet.project`, `NaturalResidual.rho` | projection onto Lambda, step length |
 
-Read first: `iteration.solve` and `ModelNewton.run`, `semismooth_newton.SemismoothNewton.solve`,
-`feasible_set.FeasibleSet`.
+Read first: `iteration.solve`, `iteration.ModelNewton.run`,
+`semismooth_newton.SemismoothNewton.solve`, `feasible_set.FeasibleSet`.
 """

@@ -196,15 +196,15 @@ def balance(
     whose gradient is the residual of the equation. The method is Newton's with damping, and with
     the part of each step that minimises phi. Where no pressure acts, phi is flat; there the damping
     is reduced from step to step, and steps grow until z has left the flat region. If phi falls
-    below -depth for y = 0, all x in Lambda and c with G'x + C c = e have |x|^2 + c'C c > 2 depth
-    (weak duality).
+    below -depth for y = 0, with depth = (`LARGEST_REACTION` |sizes|)^2 / 2, all x in Lambda and c
+    with G'x + C c = e have |x|^2 + c'C c > 2 depth (weak duality).
 
     Args:
         constraints: the equations.
         feasible_set: Lambda.
         start: (size,) y; the multipliers P(y + G z) are the nearest ones to y; None: zero.
-        softness: (k, k) C; None: the projector onto the range of S. All soft equations are then
-            equally soft, and the result does not depend on their softness.
+        softness: (k, k) C; None: the projector onto the range of `constraints.softness`. All soft
+            equations are then equally soft, and the result does not depend on their softness.
         reserve: relative increase of e; a positive value asks for a margin.
     """
     target = (1.0 + reserve) * constraints.values
@@ -234,7 +234,7 @@ def balance(
     for _ in range(MOST_STEPS):
         gradient = excess(z)
         small, cancelled = rounding(z)
-        # where no solution exists, the step beyond the proof makes the motion z more accurate
+        # once `unbounded` is proven, one more step makes the direction of z more accurate
         if unbounded or ROUNDING * cancelled.max() > LOST * small.max():
             break
         if (np.abs(gradient) <= small + cancelled).all():

@@ -158,10 +158,10 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
     return bound / norm if norm > 0.0 else float("inf")
 
 
-#: `LEAST_ACCURACY` is the least relative energy error that is requested if the mesh's error
+#: `SMALLEST_TOLERANCE` is the least relative energy error that is requested if the mesh's error
 #: determines the request. With `rtol`, the mesh's error is not estimated if the relative energy
 #: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
-LEAST_ACCURACY, BELOW_ANY_MESH = 1e-8, 1e-4
+SMALLEST_TOLERANCE, BELOW_ANY_MESH = 1e-8, 1e-4
 
 #: Largest accepted residual of the equality constraints, relative to their terms: forces are in
 #: equilibrium.
@@ -326,7 +326,7 @@ class History:
                 if self._options.rtol is None or bound > BELOW_ANY_MESH:
                     mesh = problem.discretisation_error(x, point.c)
                     self.accuracy = min(
-                        max(self._options.mesh_part * mesh, LEAST_ACCURACY), FORCING
+                        max(self._options.mesh_part * mesh, SMALLEST_TOLERANCE), FORCING
                     )
             if self.accuracy < np.inf:
                 yield bound, self.accuracy
@@ -347,7 +347,7 @@ class History:
         if norm == 0.0:  # no relative error
             return 0.0
         reached = energy_error(problem, point)
-        error = max(min(self.accuracy, reached), LEAST_ACCURACY) * norm
+        error = max(min(self.accuracy, reached), SMALLEST_TOLERANCE) * norm
         if self._options.rtol is not None or not np.isfinite(error):
             error = min(error, self.residual_error)
         return FORCING * error

@@ -214,6 +214,9 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
 def opposite_bodies(nodes: SurfaceNodes, paired: Indices, order: SelfContact) -> Indices:
     """Return the body that is opposite to each node. Not collective.
 
+    `couple` treats patches of a node on a sharp edge that face different bodies like different
+    nodes.
+
     Args:
         nodes: the nodes of the surface.
         paired: (p, 2) pairs of a secondary and a primary facet that overlap.
@@ -223,8 +226,8 @@ def opposite_bodies(nodes: SurfaceNodes, paired: Indices, order: SelfContact) ->
         (n,) the number of the body, the least number if there are several bodies; -1 for nodes
         without an opposite facet.
     """
-    none = np.iinfo(np.intp).max
-    result = np.full(len(nodes.numbers), none)
+    no_body = np.iinfo(np.intp).max
+    result = np.full(len(nodes.numbers), no_body)
     facet, partner = paired.T
     np.minimum.at(result, nodes.facet_nodes[facet], order.body[partner][:, None])
-    return np.where(result == none, -1, result)
+    return np.where(result == no_body, -1, result)
