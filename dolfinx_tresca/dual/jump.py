@@ -70,6 +70,7 @@ class JumpOperator(PetscOwner):
         slices: the positions of each pair's normal and tangential multipliers.
         nodes: the positions of each pair's nodes among the nodes of all pairs.
         row_nodes: (size,) the position of each row's node among the nodes of all pairs.
+        is_tangential: (size,) whether a row is tangential.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system; with `frames`, B R,
             since the unknowns are displacements in the frames.
         stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
@@ -103,7 +104,7 @@ class JumpOperator(PetscOwner):
         for pair, (n, t) in zip(pairs, self.slices, strict=True):
             is_tangential[t] = True
             is_bonded[n.start : t.stop] = pair.bonded
-        self._is_tangential = is_tangential
+        self.is_tangential = is_tangential
         tangential, count = np.flatnonzero(is_tangential), len(self._roots)
         semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
         self._ellipses = FrictionDiscs.of_ellipses(self.row_nodes[tangential], semi_axes, count)
@@ -150,7 +151,7 @@ class JumpOperator(PetscOwner):
                 at_nodes = self.pairs[j].at_nodes(keep)
                 operators.append(dataclasses.replace(at_nodes, weights=share[keep]))
             nodes, rows = np.flatnonzero(acts), acts[self.row_nodes]
-            normal, tangential = rows & ~self._is_tangential, rows & self._is_tangential
+            normal, tangential = rows & ~self.is_tangential, rows & self.is_tangential
             positions = nodes, np.flatnonzero(normal), np.flatnonzero(tangential)
             result.append(RowsOfPair(joined(operators), *positions))
         return result

@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
+from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, warn
 from dolfinx_tresca.contact.contact_system import inputs_changed
@@ -21,7 +22,7 @@ from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, St
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
-from dolfinx_tresca.problem.process import ContactProcess, check_type, problem_to_agree
+from dolfinx_tresca.problem.process import ContactProcess, check_options, problem_to_agree
 from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.problem.tangent_system import TangentSystem
 from dolfinx_tresca.result import ContactSolution
@@ -72,14 +73,13 @@ def _check_options(options: Any, newton: Any) -> None:
     Raises:
         InputError: an option has a wrong type, or is not available for nonlinear bodies.
     """
-    check_type(options)
+    check_options(options)
     if options.balanced:
         raise InputError(
             "accuracy='balanced' asks for an estimate of the mesh's error, which there is for "
             "linear bodies only: give rtol=..., or a number as accuracy."
         )
-    if not isinstance(newton, NewtonOptions):
-        raise InputError(f"newton must be NewtonOptions(...), found {shown(newton)}.")
+    check_type("newton", newton, NewtonOptions, "NewtonOptions(...)")
 
 
 class NonlinearContactProblem(ContactProcess):
@@ -197,8 +197,7 @@ class NonlinearContactProblem(ContactProcess):
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: the tangent of the undeformed bodies is not symmetric, or is indefinite.
         """
-        if not isinstance(F, ufl.Form):
-            raise InputError(f"F must be a UFL form, found {shown(F)}.")
+        check_type("F", F, ufl.Form, "a UFL form")
         for name, function in (("before_assembly", before_assembly), ("on_accept", on_accept)):
             if function is not None and not callable(function):
                 raise InputError(f"{name} must be a function or None, found {shown(function)}.")

@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
+from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
@@ -54,17 +55,14 @@ def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
     }
 
 
-def check_type(options: Any) -> None:
+def check_options(options: Any) -> None:
     """Check that options are `SolverOptions`. Not collective.
 
     Raises:
         InputError: they are not.
     """
-    if not isinstance(options, SolverOptions):
-        raise InputError(
-            f"options must be SolverOptions(...), found {shown(options)}. Options of the solver "
-            "for K go to petsc_options."
-        )
+    advice = " Options of the solver for K go to petsc_options."
+    check_type("options", options, SolverOptions, "SolverOptions(...)", advice)
 
 
 class ContactProcess(PetscOwner, Tabulated):
@@ -90,9 +88,8 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             InputError: an argument is wrong.
         """
-        check_type(options)
-        if units is not None and not isinstance(units, Units):
-            raise InputError(f'units must be such as Units("mm", "MPa"), found {shown(units)}.')
+        check_options(options)
+        check_type("units", units, Units | None, 'such as Units("mm", "MPa")')
         self.options, self.units = options, units
         self.pairs: list[ContactPair] = checked_pairs(pairs)
 

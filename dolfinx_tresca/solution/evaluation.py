@@ -144,7 +144,7 @@ def evaluate(
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
     jump, by_tools = B.of_unknowns(solved), dual.jump_of_tools(c)
-    normal = np.concatenate([np.arange(rows.start, rows.stop) for rows, _ in B.slices])
+    normal = np.flatnonzero(~B.is_tangential)
     closing = np.concatenate(B.closings(u))
     closing[B.row_nodes[normal]] += (by_tools * B.length_scale)[normal]
     increment = jump + by_tools - response.offset
