@@ -19,7 +19,7 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
+from dolfinx_tresca.solvers.feasible_set import CurveAtNodes
 from dolfinx_tresca.status import ContactStatus
 
 

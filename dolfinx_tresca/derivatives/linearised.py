@@ -42,9 +42,9 @@ from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
 from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.solvers.feasible_set import Face
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.linear_algebra import NodalMaps, NodalPattern, norm
+from dolfinx_tresca.solvers.constraints import NodalPattern, norm
+from dolfinx_tresca.solvers.feasible_set import Face, FrictionCones
+from dolfinx_tresca.solvers.products import NodalMaps
 
 #: Relative error of y in the energy norm of the model of A, for estimates of errors; its square is
 #: the relative error of the adjoint's energy.

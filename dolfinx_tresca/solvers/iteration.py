@@ -19,14 +19,15 @@ from dolfinx_tresca._base.tolerances import (
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
-from dolfinx_tresca.solvers.constraints import balance
-from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
-from dolfinx_tresca.solvers.linear_algebra import norm
+from dolfinx_tresca.solvers.constraints import balance, norm
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
     DualSolution,
     FrictionDeficit,
+    History,
     KnownProducts,
+    NaturalResidual,
+    Observe,
     Point,
 )
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, WholeModel
