@@ -29,6 +29,7 @@ import dolfinx.la
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -247,16 +248,11 @@ class DataOfSolution:
                 bounds of orthotropic friction, or the position of an obstacle that reads a
                 Function, depend on a control.
         """
-        if not isinstance(controls, Sequence):
-            raise InputError(
-                "controls must be a list of fem.Constant and fem.Function, such as [coefficient], "
-                f"found {shown(controls)}."
-            )
+        wanted = "a list of fem.Constant and fem.Function, such as [coefficient]"
+        check_type("controls", controls, Sequence, wanted)
         for control in controls:
-            if not isinstance(control, fem.Constant | fem.Function):
-                raise InputError(
-                    f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
-                )
+            kinds = fem.Constant | fem.Function
+            check_type("a control", control, kinds, "a fem.Constant or a fem.Function")
             for pair in self.system.pairs:
                 terms = pair.friction.terms
                 bounds = [getattr(terms, name) for name in TERMS]

@@ -281,18 +281,15 @@ def balance(
         p = feasible_set.project(y + constraints.columns @ z)
         return agreed(constraints.along(p) + C @ z - target)
 
-    def rounding(z: Array) -> tuple[Array, Array]:
-        """Return two rounding errors (k,) of the residual: from summing it, and from G z."""
-        p = feasible_set.project(y + constraints.columns @ z)
-        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
-        terms, cancelled = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
-        summed = ROUNDING * (terms + abs(C) @ np.abs(z) + sizes)
-        return agreed(summed), agreed(np.finfo(float).eps * cancelled)
-
     z, damping, unbounded = np.zeros_like(target), DAMPING, False
     for _ in range(MOST_STEPS):
         gradient = excess(z)
-        small, cancelled = rounding(z)
+        # two rounding errors of the residual: from summing it, and from G z
+        p = feasible_set.project(y + constraints.columns @ z)
+        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
+        terms, of_sum = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
+        small = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + sizes))
+        cancelled = agreed(np.finfo(float).eps * of_sum)
         # once `unbounded` is proven, one more step makes the direction of z more accurate
         if unbounded or ROUNDING * cancelled.max() > LOST * small.max():
             break

@@ -394,10 +394,9 @@ class FrictionCones(FeasibleSet):
             face: face with the projector P.
             diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
         """
-        slope, by_slip = self.slopes(x, face.slip)
-        damping = 1.0 + by_slip * self.disc_means(diagonal)
-        damping[damping == 0.0] = 1.0
-        slope, by_slip = slope / damping, by_slip / damping
+        slopes = self.slopes(x, face.slip)
+        damping = 1.0 + slopes[1] * self.disc_means(diagonal)
+        slope, by_slip = slopes / np.where(damping == 0.0, 1.0, damping)
         follows = bool(by_slip.any())
 
         def change(step: Array, v: Array) -> Array:
@@ -440,8 +439,8 @@ class FrictionCones(FeasibleSet):
 
         return derivative
 
-    def slopes(self, x: Array, where: Mask | bool = True) -> tuple[Array, Array]:
-        """Return dg/dp and dg/dv (n_discs,) at x for the bounds g.
+    def slopes(self, x: Array, where: Mask | bool = True) -> Array:
+        """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g.
 
         Args:
             x: (size,) multipliers.
@@ -451,12 +450,10 @@ class FrictionCones(FeasibleSet):
         pressure = self._pressures(x)
         coefficient = self._coefficients(pressure)
         grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
-        by_pressure, by_slip = coefficient, np.zeros_like(coefficient)
+        result = np.array([coefficient, np.zeros_like(coefficient)])
         if self.curves is not None:
-            pressed = np.maximum(pressure, 0.0)
-            of_pressure, of_slip = self.curves.slopes(pressure, self.slip)
-            by_pressure, by_slip = coefficient + pressed * of_pressure, pressed * of_slip
-        return np.where(grows, by_pressure, 0.0), np.where(grows, by_slip, 0.0)
+            result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
+        return np.where(grows, result, 0.0)
 
     def dilation(self, x: Array, r: Array) -> Array:
         """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.

@@ -306,13 +306,6 @@ class ProductStore:
             self._append(new, new_product, error, new_energy)
         return True
 
-    def near_product(self, x: Array) -> Array:
-        """Return the product D x of the near field (size,), and keep it. Collective."""
-        assert self.near is not None
-        product = self.apply_near(x)
-        self.near.add(x, product)
-        return product
-
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
         product = np.zeros_like(x)
@@ -388,16 +381,16 @@ class ProductStore:
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
         return max(float(least.max()), of_near_field)
 
-    def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x (size,), with M as in `model` and D given as a function. Collective.
+    def apply_with_near(self, x: Array) -> Array:
+        """Return M x (size,), with the near field D in `model`, and keep the product. Collective.
 
         Args:
             x: (size,) vector.
-            apply_base: function that applies D, the model of A without known pairs, to an array
-                (size,); it is called once.
         """
+        assert self.near is not None
         new, product = self.split(x)
-        image = apply_base(new)
+        image = self.apply_near(new)
+        self.near.add(new, image)
         return product + image - self.Y @ self._reductions.inner(self.W, image)
 
     def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:

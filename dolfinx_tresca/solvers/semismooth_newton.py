@@ -364,7 +364,7 @@ def solve_model(
         step = target.x - point.x
         if float(problem.inner(step, step)) == 0.0:
             break
-        r = point.r + store.apply(step, store.near_product) - G @ (target.c - point.c)
+        r = point.r + store.apply_with_near(step) - G @ (target.c - point.c)
         target = replace(target, r=r)
         if (reached := residual.norm_at(target)) < least:
             best, least = target, reached
