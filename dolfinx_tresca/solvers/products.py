@@ -518,8 +518,7 @@ class WholeModel:
         # all other rows have a zero right-hand side and no coupling: s is zero there
         moving = np.flatnonzero((np.diff(T.indptr) > 0) | (np.diff(R.indptr) > 1))
         T, R = T[moving], R[moving][:, moving]
-        used = np.unique(T.indices)
-        matrix = (T[:, used] @ self._shifted[used][:, moving] + R) / unit
+        matrix = ((T @ self._shifted)[:, moving] + R) / unit
         G = self._reductions.stacked(G)
         soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
         loaded = 1.0 / unit * self._gathered(maps.test(right))[moving]
