@@ -24,8 +24,7 @@ from dolfinx_tresca._base.parallel import (
 )
 from dolfinx_tresca._base.petsc import free_unused, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import SLACK
-from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
-from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces, Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError

@@ -16,8 +16,8 @@ from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, warn
+from dolfinx_tresca.contact.contact_surfaces import Factorisation
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.goals import GoalError, goal_error

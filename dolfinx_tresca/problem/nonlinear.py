@@ -14,17 +14,16 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import agreed_observer, warn
+from dolfinx_tresca._base.parallel import agreed_observer, errors_on_all_ranks, warn
+from dolfinx_tresca.contact.contact_surfaces import Factorisation
 from dolfinx_tresca.contact.contact_system import inputs_changed
-from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
+from dolfinx_tresca.problem.newton import EnergyBalance, Newton, NewtonOptions, NewtonRecord
 from dolfinx_tresca.problem.process import ContactProcess, check_options, problem_to_agree
-from dolfinx_tresca.problem.tangent_problem import TangentProblem
-from dolfinx_tresca.problem.tangent_system import TangentSystem
+from dolfinx_tresca.problem.tangent_problem import TangentProblem, TangentSystem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
@@ -329,6 +328,13 @@ class NonlinearContactProblem(ContactProcess):
         newton = self.newton if newton is None else newton
         _check_options(options, newton)
         observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        self._contact.check_not_destroyed()
+        with errors_on_all_ranks(self.comm):
+            if not np.isfinite(self.u.x.array).all():
+                raise InputError(
+                    "u, which the solve starts from, has values that are NaN or infinite."
+                )
+        balance = EnergyBalance(self._contact)
         self._contact.begin()
         self._solves += 1
         run = Newton(self._contact, newton, options, self.units, observe, self._level)
@@ -340,7 +346,7 @@ class NonlinearContactProblem(ContactProcess):
         self._contact.state = replace(state, end=state.unknowns)
         released, snaps = np.nan, False
         if run.solution is not None and run.fraction == 1.0:
-            released, snaps = self._contact.balance.released(run.start, run.solution.dissipation)
+            released, snaps = balance.released(run.start, run.solution.dissipation)
         if snaps:
             warn(
                 self._contact.comm,

@@ -19,8 +19,7 @@ from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.state_file import SavedState, write_state
-from dolfinx_tresca.contact.step_state import StepSolution
+from dolfinx_tresca.contact.step_state import SavedState, StepSolution, write_state
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
 from dolfinx_tresca.derivatives.goals import value_of
 from dolfinx_tresca.derivatives.gradient_and_tangent import (
