@@ -24,7 +24,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.program import DualProgram
@@ -170,8 +170,15 @@ class StepState:
         after = replace(self, history=history, accepted=step, pending=False)
         return after.started_at(self.multipliers)
 
-    def after_solution(self, unconverged: bool) -> StepState:
-        """Return the state in which the last solution is an accepted step. Not collective.
+    def after_solution(self, solution: StepSolution) -> StepState:
+        """Return the state in which a solution is an accepted step. Not collective."""
+        u = self.jump.system.displacement(solution.fields.w.copy(), solution.fields.w.name)
+        return self.after_step(
+            solution.history, u, configuration=self.configuration, motions=solution.motions
+        )
+
+    def acceptable(self, unconverged: bool) -> StepSolution:
+        """Return the last solution if it can be accepted. Not collective.
 
         Args:
             unconverged: whether to accept a solution that missed the requested accuracy.
@@ -179,16 +186,6 @@ class StepState:
         Raises:
             ContactError: nothing was solved since the last step.
             ConvergenceError: the last solve failed.
-        """
-        solution = self.acceptable(unconverged)
-        u = self.jump.system.displacement(solution.fields.w.copy(), solution.fields.w.name)
-        places: dict[str, Any] = {"configuration": self.configuration, "motions": solution.motions}
-        return self.after_step(solution.history, u, **places)
-
-    def acceptable(self, unconverged: bool) -> StepSolution:
-        """Return the last solution if it can be accepted. Not collective.
-
-        Arguments and errors are those of `after_solution`.
         """
         if self.solution is None or not self.pending:
             raise ContactError(
@@ -353,7 +350,7 @@ class SavedState:
         motions: (pairs, 3, 4) places of the obstacles at the accepted step.
         configuration: displacement [length] at which pairs with finite sliding were paired.
         geometry: displacement [length] at which the other pairs were paired.
-        material: for each Function of the material's history its values, ghosts included.
+        material: the saved Functions of the material's history.
     """
 
     def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
@@ -370,50 +367,51 @@ class SavedState:
                 kind of problem, or to a problem with another number of pairs or Functions.
         """
         system, pairs = present.jump.system, len(present.jump.pairs)
-        self.path, self.comm, self._system = path, system.comm, system
+        self._path, self._comm, self._system = path, system.comm, system
+        unknowns = _functions_of_unknowns(present)
+        spaces = [function.function_space for function in (*unknowns, *material)]
         self._content: dict[str, npt.NDArray[Any]] = {}
-        with errors_on_all_ranks(self.comm):
-            if self.comm.rank == 0:
+        with errors_on_all_ranks(self._comm):
+            if self._comm.rank == 0:
                 self._content = _read(path)
-        header = [self._content.get(name) for name in ("laws", "numbers", "motions")]
-        widths = {name: x.shape[1] for name, x in self._content.items() if "/" in name}
-        header, self._widths = self.comm.bcast((header, widths))
-        self._laws, (self._dissipation, self._begun, step), self.motions = header
+                self._check_sizes(pairs, [space.dofmap.index_map_bs for space in spaces])
+        names = "laws", "motions", "numbers"
+        header = self._comm.bcast([self._content.get(name) for name in names])
+        self._laws, self.motions, (self._dissipation, self._begun, step) = header
         self.step = int(step)
-        if len(self.motions) != pairs:
-            raise self._refusal(f"with {len(self.motions)} pair(s), and here there are {pairs}")
         self._places = surroundings(system.V)
         self._nodes = self._rows("nodes", self._places)
         self.configuration = with_owned_values(system.V, self._nodes["configuration"])
         self.geometry = with_owned_values(system.V, self._nodes["geometry"])
-        self._unknowns = _functions_of_unknowns(present)
-        functions = [*self._unknowns, *material]
+        functions = [
+            with_owned_values(space, self._rows(f"function {k}", surroundings(space))["values"])
+            for k, space in enumerate(spaces)
+        ]
+        self._unknowns, self.material = functions[: len(unknowns)], functions[len(unknowns) :]
+
+    def _check_sizes(self, pairs: int, components: list[int]) -> None:
+        """Check that the file has as many pairs and Functions as the problem. On the first rank.
+
+        Args:
+            pairs: number of pairs of the problem.
+            components: number of components of each of its Functions.
+
+        Raises:
+            InputError: the file is of another problem.
+        """
         saved = [
-            width
-            for name, width in self._widths.items()
+            values.shape[1]
+            for name, values in self._content.items()
             if name.startswith("function") and name.endswith("values")
         ]
-        wanted = [function.function_space.dofmap.index_map_bs for function in functions]
-        if saved != wanted:
-            raise self._refusal(
-                f"with {len(saved)} Function(s), of {saved} component(s), those of u and those "
-                f"given as material, and here there are {len(wanted)}, of {wanted}"
+        saved_pairs = len(self._content["motions"])
+        if saved != components or saved_pairs != pairs:
+            raise InputError(
+                f"the state in '{self._path}' is of a problem with {len(saved)} Function(s), of "
+                f"{saved} component(s), those of u and those given as material, and with "
+                f"{saved_pairs} pair(s), and here there are {len(components)}, of {components}, "
+                f"and {pairs} pair(s). Give the pairs, the mesh and the space of that problem."
             )
-        values = []
-        for number, function in enumerate(functions):
-            V = function.function_space
-            rows = self._rows(f"function {number}", surroundings(V))
-            values.append(with_owned_values(V, rows["values"]).x.array.copy())
-        for function, read in zip(self._unknowns, values, strict=False):
-            function.x.array[:] = read
-        self.material = values[len(self._unknowns) :]
-
-    def _refusal(self, difference: str) -> InputError:
-        """Return the error to raise if the file is of a problem with a difference in words."""
-        return InputError(
-            f"the state in '{self.path}' is of a problem {difference}. Give the pairs, the mesh "
-            "and the space of that problem."
-        )
 
     def _rows(self, table: str, places: Array) -> dict[str, Array]:
         """Return column -> values (n, k) of a table at this rank's nodes. Collective.
@@ -425,26 +423,26 @@ class SavedState:
         Raises:
             InputError: all nodes of all ranks together are not those in the file.
         """
-        split = [(name.partition("/")[2], name, width) for name, width in self._widths.items()]
-        nodes, owner = exchange(self.comm, places, np.zeros(len(places), dtype=np.intp))
-        rows: Indices | None = np.zeros(0, dtype=np.int64)
-        with errors_on_all_ranks(self.comm):
-            if self.comm.rank == 0:
+        places_of_ranks = self._comm.gather(places)
+        tables: list[dict[str, Array]] = [{} for _ in range(self._comm.size)]
+        with errors_on_all_ranks(self._comm):
+            if places_of_ranks is not None:
+                nodes = np.concatenate(places_of_ranks)
                 saved = self._content.get(f"{table}/{PLACES}", np.zeros((0, nodes.shape[1])))
                 rows = same_nodes(saved, nodes)
                 if rows is None:
                     raise InputError(
-                        f"the state in '{self.path}' is of another mesh, of another degree or of "
+                        f"the state in '{self._path}' is of another mesh, of another degree or of "
                         f"other pairs: its {table} has {len(saved)} nodes or points, the problem "
                         f"{len(nodes)}, and they must be the same ones. For another mesh take "
                         "continue_from(solution)."
                     )
-        result = {}
-        for column, name, width in split:
-            if name == f"{table}/{column}" and column != PLACES:
-                values = self._content.get(name, np.zeros((0, width)))[rows]
-                result[column] = exchange(self.comm, values, owner)[0]
-        return result
+                ends = np.cumsum([len(places) for places in places_of_ranks])[:-1]
+                for name, values in self._content.items():
+                    if name.startswith(f"{table}/"):
+                        for columns, x in zip(tables, np.split(values[rows], ends), strict=True):
+                            columns[name.partition("/")[2]] = x
+        return dict(self._comm.scatter(tables))
 
     def state(self, present: StepState) -> StepState:
         """Return the state in the file. Collective.
@@ -459,7 +457,7 @@ class SavedState:
         for number, (saved, law) in enumerate(zip(self._laws, _laws(jump), strict=True)):
             if saved != law:
                 raise InputError(
-                    f"the state in '{self.path}' is of a problem whose pair {number} "
+                    f"the state in '{self._path}' is of a problem whose pair {number} "
                     f"{saved}; here it {law}, so that tractions and slip would be lost, or are "
                     "not known. Where friction comes or goes in a process let its bound or "
                     "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
@@ -493,8 +491,8 @@ class SavedState:
                     w.sub(i).interpolate(values)
             unknowns = w.x.array.copy()
         state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
-        places: dict[str, Any] = {"configuration": configuration, "before": before}
-        return replace(state.after_step(history, displacement, **places), solution=None)
+        state = state.after_step(history, displacement, configuration=configuration, before=before)
+        return replace(state, solution=None)
 
 
 def _functions_of_unknowns(state: StepState) -> list[fem.Function]:

@@ -16,7 +16,6 @@ from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arrays import real
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, warn
-from dolfinx_tresca.contact.contact_surfaces import Factorisation
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.step_state import StepSolution
@@ -150,7 +149,7 @@ class ContactProblem(ContactProcess):
         super().__init__(pairs, SolverOptions() if options is None else options, units)
         linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
         solver = stiffness, petsc_options, petsc_options_prefix, expected_solves
-        self._take(ContactSystem(Factorisation(linear, self.pairs, *solver)))
+        self._take(ContactSystem(linear, self.pairs, *solver))
 
     @property
     def stiffness(self) -> PETSc.Mat:

@@ -15,7 +15,6 @@ from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, errors_on_all_ranks, warn
-from dolfinx_tresca.contact.contact_surfaces import Factorisation
 from dolfinx_tresca.contact.contact_system import inputs_changed
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
@@ -225,8 +224,7 @@ class NonlinearContactProblem(ContactProcess):
         self._F, self._is_symmetrized = F, symmetrize
         tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         solver = stiffness, petsc_options, petsc_options_prefix
-        stiffness_of_tangent = Factorisation(tangent, self.pairs, *solver)
-        self._take(TangentProblem(tangent, on_accept, stiffness_of_tangent))
+        self._take(TangentProblem(tangent, on_accept, self.pairs, *solver))
         self._solves = 0
         self._level = 0
 

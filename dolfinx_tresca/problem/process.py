@@ -136,7 +136,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return [*self._contact.rows(self.units), ("method", method)]
 
     def __repr__(self) -> str:
-        summary, method = self._contact.summary, self._contact.stiffness.method
+        summary, method = self._contact.summary, self._contact.method
         return (
             f"<{type(self).__name__}: {summary.dofs} displacements, {summary.contact_nodes} "
             f"contact nodes in {len(self.pairs)} pair(s), {method}>"
@@ -180,8 +180,9 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             contact = self._contact
-            contact.advance_material(contact.state.acceptable(unconverged))
-            contact.state = contact.state.after_solution(unconverged)
+            solution = contact.state.acceptable(unconverged)
+            contact.advance_material(solution)
+            contact.state = contact.state.after_solution(solution)
             contact.obstacles.place(contact.state.accepted.motions, only_held_by_forces=True)
 
     @collective(comm_of_self, extra_values=problem_to_agree)
@@ -306,15 +307,15 @@ class ContactProcess(PetscOwner, Tabulated):
         saved = SavedState(Path(self.comm.bcast(str(path))), contact.state, material)
         former, motions = contact.state, contact.obstacles.motions
         try:
-            contact.obstacles.motions = saved.motions
+            contact.obstacles.place(saved.motions)
             contact.pair_where_changed(saved.configuration, saved.geometry)
             contact.state = saved.state(contact.state)
         except ContactError:
-            contact.obstacles.motions = motions
+            contact.obstacles.place(motions)
             contact.return_to(former)
             raise
-        for function, values in zip(material, saved.material, strict=True):
-            function.x.array[:] = values
+        for function, read in zip(material, saved.material, strict=True):
+            function.x.array[:] = read.x.array
         return saved.step
 
     def _check_material(self, material: Sequence[fem.Function]) -> None:

@@ -20,11 +20,11 @@ from dolfinx_tresca._base.compat import EntityMaps, collapse
 from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.tolerances import ROUGH
-from dolfinx_tresca.contact.contact_surfaces import Factorisation
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -263,7 +263,8 @@ class TangentProblem(ContactSystem):
         self,
         tangent: TangentSystem,
         on_accept: Callable[[], None] | None,
-        factorisation: Factorisation,
+        pairs: list[ContactPair],
+        *solver: Any,
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
@@ -273,7 +274,8 @@ class TangentProblem(ContactSystem):
         Args:
             tangent: the linear system of a step. The problem owns it.
             on_accept: see `NonlinearContactProblem`.
-            factorisation: object that factors the tangent.
+            pairs: the contact pairs.
+            solver: how to solve with the tangent; see `ContactSurfaces`.
 
         Raises:
             InputError: an argument is wrong.
@@ -290,7 +292,7 @@ class TangentProblem(ContactSystem):
                 tangent.update_material()
                 tangent.assemble_form()
                 self._mixed_norm = tangent.displacement_stiffness()
-            super().__init__(factorisation)
+            super().__init__(tangent, pairs, *solver)
         self.unknowns = u
         # motions of the obstacles at the start and at the end of a solve
         self._places = (self.obstacles.motions,) * 2
@@ -490,12 +492,12 @@ class TangentProblem(ContactSystem):
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
         if not np.array_equal(*self._places):
             obstacles = self.obstacles
-            obstacles.motions = obstacles.between(*self._places, fraction)
+            obstacles.place(obstacles.between(*self._places, fraction))
             self.pair_where_changed()
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
-        self.obstacles.motions = self._places[1]
+        self.obstacles.place(self._places[1])
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
