@@ -16,7 +16,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Mask, real
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, timed, warn
-from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
+from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -217,8 +217,9 @@ class ContactSurfaces(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._destroyed = True
-        for owner in (self.compliance, self.jump):
+        for owner in (self.compliance, self.jump, self.linear):
             owner.destroy()
+        free_unused(self.comm)
 
     def check_not_destroyed(self) -> None:
         """Check that the PETSc objects exist. Not collective.
@@ -279,8 +280,6 @@ class ContactSurfaces(PetscOwner):
             InputError: a gap is on another mesh, or is NaN or infinite.
         """
         gaps = self.added_gaps()
-        former_gaps = [on_nodes.added_gap for on_nodes in self.jump.pairs]
-        changed = not all(map(np.array_equal, gaps, former_gaps))
         with errors_on_all_ranks(self.comm):
             for pair, gap in zip(self.pairs, gaps, strict=True):
                 if not np.isfinite(gap).all():
@@ -288,9 +287,8 @@ class ContactSurfaces(PetscOwner):
                         f"the gap of contact pair {pair} has values that are NaN or infinite. For "
                         "surfaces that cannot touch give no pair."
                     )
-        if self.comm.allreduce(changed, op=MPI.LOR):
-            operators = zip(self.jump.pairs, gaps, strict=True)
-            self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
+        operators = zip(self.jump.pairs, gaps, strict=True)
+        self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
@@ -334,8 +332,9 @@ class ContactSurfaces(PetscOwner):
         same = solved is not None and np.array_equal(solved.fields.u.x.array, u.x.array)
         continues = self.comm.allreduce(same, op=MPI.LAND)
         self.note_obstacles()
-        self._pair_anew(u, np.ones(len(self.pairs), np.bool_), continues=continues)
-        self._state = replace(self._state, configuration=u.copy(), geometry=u.copy())
+        self._pair_anew(u, np.ones(len(self.pairs), np.bool_))
+        places = {"configuration": u.copy(), "geometry": u.copy()}
+        self._state = replace(self._state, **places, continues=continues)
 
     @property
     def state(self) -> StepState:
@@ -440,7 +439,7 @@ class ContactSurfaces(PetscOwner):
                 )
         return changed
 
-    def _pair_anew(self, u: fem.Function, anew: Mask, *, continues: bool = False) -> None:
+    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
         With finite sliding, the slip counts from the last accepted step. The slip of a node is its
@@ -450,7 +449,6 @@ class ContactSurfaces(PetscOwner):
         Args:
             u: displacement [length] in the problem's space.
             anew: (pairs,) True for the pairs to be paired again.
-            continues: whether the load step goes on; see `StepState.paired_at`.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
@@ -465,7 +463,7 @@ class ContactSurfaces(PetscOwner):
             since_accepted = self._finite_sliding & anew
             frames = self.frames_at(u) if since_accepted.any() else self.jump.frames
             jump = moved_jump(self.jump, self.pairs, u, anew, frames)
-            self._state = self._state.paired_at(jump, u, since_accepted, continues=continues)
+            self._state = self._state.paired_at(jump, u, since_accepted)
             self._replace_jump(jump)
 
     def _replace_jump(self, jump: JumpOperator) -> None:

@@ -114,12 +114,6 @@ class ContactSystem(ContactSurfaces):
             ("chosen", self.reason),
         ]
 
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        super().destroy()
-        self.linear.destroy()
-        free_unused(self.comm)
-
     def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
         """Return the present gaps, slip bounds and friction curves at contact nodes. Collective.
 
@@ -198,17 +192,13 @@ class ContactSystem(ContactSurfaces):
             self.linear.assemble_load()
             self.update_gaps()
 
-    def checked(self, solution: Solution, *, linear: bool = True) -> Solution:
+    def checked(self, solution: Solution) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
         Prescribed overlaps and the reason of a failure are logged. A solve that found no solution
         since bodies slide away has this as its reason. With finite sliding, the first
         configurations are not checked, since surfaces that come from afar may lie deep inside other
-        bodies there.
-
-        Args:
-            solution: the solution at the end of a solve.
-            linear: whether bodies are linear, so that rotations and deformations have limits.
+        bodies there. Rotations and deformations have limits if the bodies are linear.
         """
         hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
@@ -217,7 +207,7 @@ class ContactSystem(ContactSurfaces):
             motions = self.obstacles.motions if state.solution is None else state.solution.motions
             scene = self.jump, self.pairs, solution.u, state.geometry
             departures = [
-                *(motions_of_bodies(v, self.bodies) if linear else ()),
+                *(() if self.linear.is_tangent else motions_of_bodies(v, self.bodies)),
                 *motions_of_pairs(*scene, tractions, motions),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)

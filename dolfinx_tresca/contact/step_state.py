@@ -115,7 +115,8 @@ class StepState:
             space, with ghosts; None for linear bodies.
         end: `unknowns` at which the last solve ended; None: it has not ended. If the user has
             changed them since, the next solve starts there.
-        continues: whether the load step goes on from the last solve in another configuration.
+        continues: whether the load step goes on from the last solve in another configuration, so
+            that the next solve starts from the tractions of this last solve.
         solution: the last solution, for goals and derivatives; None as soon as another solve has
             begun, or surfaces were paired anew.
         pending: whether the last solution can be accepted: there is one, and it is no step yet.
@@ -234,8 +235,6 @@ class StepState:
         jump: JumpOperator,
         u: fem.Function,
         since_accepted: Sequence[bool] | Mask,
-        *,
-        continues: bool = False,
     ) -> StepState:
         """Return the state on the B of displaced surfaces. Collective.
 
@@ -245,9 +244,6 @@ class StepState:
             since_accepted: for each pair, True: the slip of this step becomes the tangential jump,
                 between nodes and their present partners, of the displacement since the last
                 accepted step; False: nodes keep their slip so far.
-            continues: whether the load step goes on. True: u is the displacement of the last solve,
-                and the next solve starts from the tractions of this last solve; False: it may start
-                from the tractions of the last accepted step.
         """
         carry = Carry(self.jump, jump)
         kept = carry.residuals(self.jump.of_displacement(u) - self.history.origin)
@@ -258,8 +254,7 @@ class StepState:
         for pair, is_new, (_, t) in zip(jump.pairs, since_accepted, jump.slices, strict=True):
             if is_new and not pair.bonded:
                 origin[t] = at_start[t]
-        history = replace(self.history, origin=origin)
-        return replace(self._on(jump, carry, history), continues=continues)
+        return self._on(jump, carry, replace(self.history, origin=origin))
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
         """Return the state with multipliers carried over to another B. Not collective."""
@@ -270,6 +265,7 @@ class StepState:
             history=history,
             multipliers=carry.multipliers(self.multipliers),
             accepted=replace(self.accepted, multipliers=accepted),
+            continues=False,
             solution=None,
             pending=False,
         )

@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
-from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, warn
 from dolfinx_tresca.contact.contact_system import ContactSystem
@@ -22,7 +22,7 @@ from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
-from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.guaranteed.bound import GAIN, Bodies, Candidate, GuaranteedError
 from dolfinx_tresca.guaranteed.goal import Functional, GuaranteedGoal, guaranteed_goal
 from dolfinx_tresca.monitor import Observer
@@ -400,9 +400,7 @@ class ContactProblem(ContactProcess):
         contact = self._contact
         solved = self._solved_for("a guaranteed bound")
         contact.check_inputs("a guaranteed bound")
-        number = real(gain)
-        if number is None or not number > 0.0:
-            raise InputError(f"gain must be a positive number, found {shown(gain)}.")
+        gain = checked_number("gain", gain, "(0, inf]")
         state = contact.state
         moved = any(w.x.array.any() for w in (state.geometry, state.configuration))
         if contact.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
@@ -410,7 +408,7 @@ class ContactProblem(ContactProcess):
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."
             )
-        return Bodies(contact.linear, solved.dual), solved, number
+        return Bodies(contact.linear, solved.dual), solved, gain
 
     @contextmanager
     def record(self) -> Iterator[ProcessTape]:

@@ -313,7 +313,6 @@ class Newton:
     flips: fem.Function | None = None
     _iteration: Iteration | None = None  # the last observed iteration
     _sliding: FiniteSliding | None = None  # of the present part of the load
-    _unstable: bool = False  # whether a step of this part took a slow entry of `ADDED`
 
     def __post_init__(self) -> None:
         """Begin at the present displacement. Not collective."""
@@ -363,9 +362,8 @@ class Newton:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         if UNSTABLE_ELEMENTS in self.failure:
             return text
-        if self._unstable:
-            text += ", and the tangent is indefinite even with fixed contact: they are unstable"
         if any("proximal" in step.added for step in self.steps):
+            text += ", and the tangent is indefinite even with fixed contact: they are unstable"
             text += UNSTABLE_ELEMENTS
         return text
 
@@ -380,7 +378,6 @@ class Newton:
         """
         problem, norm, number = self.problem, math.inf, 0
         errors: list[float] = []  # of each step, divided by the requested error
-        self._unstable = False
         pressed = problem.normal_forces_at_nodes() > 0.0
         self._flips = np.zeros(pressed.shape[1])
         if problem.slides_far:
@@ -496,7 +493,8 @@ class Newton:
             errors: largest ratio of an error to the requested one, for each step.
         """
         most, number = self.options.max_iterations, len(errors)
-        snaps = self._unstable or (self._sliding is not None and self._sliding.snaps)
+        snaps = any("proximal" in step.added for step in self.steps[-number:])
+        snaps |= self._sliding is not None and self._sliding.snaps
         if number < most * (MAX_ITERATIONS_FACTOR if snaps else 1):
             return True
         middle = (number - 1) // 2
@@ -521,7 +519,6 @@ class Newton:
         for level in range(first_level, len(ADDED)):
             try:
                 self.level = level
-                self._unstable |= level >= FIRST_SLOW
                 self.problem.factor(*ADDED[level])
                 # in the Newton residual, the contact residual is multiplied by the added stiffness
                 forcing = FORCING if level > 0 else 1.0

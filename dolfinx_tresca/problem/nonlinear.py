@@ -197,8 +197,7 @@ class NonlinearContactProblem(ContactProcess):
         """
         check_type("F", F, ufl.Form, "a UFL form")
         for name, function in (("before_assembly", before_assembly), ("on_accept", on_accept)):
-            if function is not None and not callable(function):
-                raise InputError(f"{name} must be a function or None, found {shown(function)}.")
+            check_type(name, function, Callable | None, "a function or None")
         if not isinstance(u, fem.Function) or (
             u not in F.coefficients() and (before_assembly is None or J is None)
         ):
@@ -384,4 +383,4 @@ class NonlinearContactProblem(ContactProcess):
             tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
         )
         values = vars(solution) | run.cost | {"status": status, "newton": record}
-        return self._contact.checked(NonlinearContactSolution(**values), linear=False)
+        return self._contact.checked(NonlinearContactSolution(**values))

@@ -390,8 +390,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
-        data = self._data_of_solution()
-        data.check_controls(controls)
+        data = self._data_of_solution(controls)
         goals = [(1.0, data.checked_goal(goal))]
         return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
 
@@ -422,13 +421,12 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, nothing holds a body against the change
                 of its loads.
         """
-        data = self._data_of_solution()
-        data.check_controls(controls)
+        data = self._data_of_solution(controls)
         directions = checked_directions(controls, directions)
         return tangent_of(data, self._contact.secondary, controls, directions)
 
-    def _data_of_solution(self) -> DataOfSolution:
-        """Return the data of the last solution, to differentiate them. Collective.
+    def _data_of_solution(self, controls: Sequence[Any]) -> DataOfSolution:
+        """Return the data of the last solution, to differentiate them by controls. Collective.
 
         The number of nodes at the edge of their state is logged.
 
@@ -444,6 +442,7 @@ class ContactProcess(PetscOwner, Tabulated):
         solution.log_edge()
         data = DataOfSolution(self._contact, self._residual_at(u), u)
         data.linearise(solution)
+        data.check_controls(controls)
         return data
 
     @collective(comm_of_self)

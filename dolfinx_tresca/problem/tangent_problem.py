@@ -102,7 +102,6 @@ class TangentSystem(LinearSystem):
         self._functions = {f: None for form in forms for f in form.coefficients() if f != u}
         self._updated_at: Array | None = None
         self._forces: tuple[Array, Array] | None = None  # the latest u and R(u)
-        self._material_changed = False
         self.added: PETSc.Mat | None = None
         self.added_forces: Array | None = None
         self.fraction = 1.0
@@ -140,31 +139,23 @@ class TangentSystem(LinearSystem):
                     "before_assembly() has changed u, which it must only read: Newton's method "
                     "chooses u."
                 )
-            if fields := self._not_finite():
-                raise StiffnessError(
-                    f"before_assembly() leaves values that are NaN or infinite in {fields}."
-                )
+        self.check_functions()
         self._updated_at = u
-        self._material_changed = True
 
     def check_functions(self) -> None:
-        """Check that Functions in the forms are finite, unless `before_assembly` computes them.
-
-        Collective.
+        """Check that Functions in the forms, other than u, are finite. Collective.
 
         Raises:
-            InputError: a Function other than u has values that are NaN or infinite.
+            InputError: a Function has values that are NaN or infinite.
+            StiffnessError: `before_assembly` has left such values.
         """
-        if self._before_assembly is not None:
-            return
         with errors_on_all_ranks(self.comm):
-            if fields := self._not_finite():
-                raise InputError(f"F or J depends on values that are NaN or infinite in {fields}.")
-
-    def _not_finite(self) -> str:
-        """Return the names of Functions in the forms, other than u, that are not finite."""
-        fields = [field for field in self._functions if not np.isfinite(field.x.array).all()]
-        return ", ".join(shown(field) for field in fields)
+            fields = [field for field in self._functions if not np.isfinite(field.x.array).all()]
+            names = f"values that are NaN or infinite in {', '.join(map(shown, fields))}"
+            if fields and self.has_material:
+                raise StiffnessError(f"before_assembly() leaves {names}.")
+            if fields:
+                raise InputError(f"F or J depends on {names}.")
 
     def forget_material(self) -> None:
         """Let material and forces be computed again, even at the same u. Not collective."""
@@ -172,9 +163,8 @@ class TangentSystem(LinearSystem):
 
     @property
     def outdated(self) -> bool:
-        """Whether coefficients of the form have changed since K was assembled. Collective."""
-        unknown = self._material_changed or not self.has_material
-        return (self.form is None and unknown) or super().outdated
+        """Whether coefficients of the form may have changed since K was assembled. Collective."""
+        return self.form is None or super().outdated
 
     def assemble_stiffness(self) -> None:
         """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective.
@@ -183,7 +173,6 @@ class TangentSystem(LinearSystem):
             StiffnessError: K is not symmetric, or not finite.
         """
         self.update_material()
-        self._material_changed = False
         if self._tangent is not self.K:
             self.K.destroy()
             self.K = self._tangent
@@ -193,10 +182,6 @@ class TangentSystem(LinearSystem):
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
             self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-
-    def internal_forces(self) -> Array:
-        """Return R(u_k) [force] at owned degrees of freedom, zero where prescribed. Collective."""
-        return np.where(self.prescribed, 0.0, self.all_forces())
 
     def all_forces(self) -> Array:
         """Return R(u_k) [force] at all owned degrees of freedom. Collective.
@@ -221,7 +206,8 @@ class TangentSystem(LinearSystem):
         """Begin the continuation at the present u_k with contact forces B'lambda. Collective."""
         owned = self.u.x.array[: len(self.prescribed)]
         self._prescribed_before = owned[self.prescribed]
-        self._initial_residual = self.internal_forces() + contact_forces
+        self.fraction = 1.0
+        self._initial_residual = self.residual(contact_forces)
 
     def residual(self, contact_forces: Array) -> Array:
         """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective.
@@ -229,8 +215,9 @@ class TangentSystem(LinearSystem):
         Args:
             contact_forces: B'lambda on owned degrees of freedom, zero where prescribed.
         """
+        internal_forces = np.where(self.prescribed, 0.0, self.all_forces())
         remaining_load = (1.0 - self.fraction) * self._initial_residual
-        return self.internal_forces() + contact_forces - remaining_load
+        return internal_forces + contact_forces - remaining_load
 
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
@@ -465,7 +452,8 @@ class TangentProblem(ContactSystem):
             before = accepted.motions  # a trial may have left obstacles elsewhere
         self._places, self._loads_in_parts = (before, self.obstacles.motions), False
         self.tangent.forget_material()  # the caller may have changed the material's history
-        self.tangent.check_functions()
+        if not self.tangent.has_material:
+            self.tangent.check_functions()
         if self._has_history:
             self._reference = self.u.x.array.copy()
         self.align_tangents(self.slip_bounds())
