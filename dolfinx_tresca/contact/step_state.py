@@ -18,13 +18,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.moved import Carry
 from dolfinx_tresca.dual.program import DualProgram
@@ -568,13 +567,10 @@ def surroundings(V: Any) -> Array:
     dim, cells = V.mesh.geometry.dim, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     points = V.tabulate_dof_coordinates()[:, :dim]
     nodes, own = V.dofmap.list[:cells], V.dofmap.index_map.size_local
-    middles, count = (dolfinx.la.vector(V.dofmap.index_map, dim) for _ in range(2))
-    for total, of_cells in ((middles, points[nodes].mean(axis=1)), (count, np.ones((cells, dim)))):
-        of_corners = np.repeat(of_cells, nodes.shape[1], axis=0)
-        np.add.at(total.array.reshape(-1, dim), nodes.ravel(), of_corners)
-        total.scatter_reverse(dolfinx.la.InsertMode.add)
-    mean = (middles.array / np.maximum(count.array, 1.0)).reshape(-1, dim)
-    return np.hstack([points[:own], mean[:own]])
+    middles = np.column_stack([points[nodes].mean(axis=1), np.ones(cells)])
+    at_corners = np.repeat(middles[:, None], nodes.shape[1], axis=1)
+    sums = summed_at_nodes(V.dofmap.index_map, nodes, at_corners)[:own]
+    return np.hstack([points[:own], sums[:, :-1] / np.maximum(sums[:, -1:], 1.0)])
 
 
 def same_nodes(saved: Array, asked: Array) -> Indices | None:

@@ -19,6 +19,7 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
+from dolfinx_tresca.dual.nodal_values import replaced
 from dolfinx_tresca.errors import PairingError, StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress
 from dolfinx_tresca.options import SolverOptions
@@ -258,7 +259,7 @@ class EnergyBalance:
         inner = 0.5 * np.sqrt(0.2)  # Lobatto's rule is exact for polynomials of degree 5
         try:
             for fraction in (0.0, 1.0, 0.5 - inner, 0.5 + inner):
-                with problem.at_unknowns(problem.u.x.array - fraction * change):
+                with replaced([problem.u], [problem.u.x.array - fraction * change]):
                     powers.append(float(tangent.all_forces() @ owned))
         except StiffnessError:
             return np.nan, False

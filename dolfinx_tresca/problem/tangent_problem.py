@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -23,6 +22,7 @@ from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
+from dolfinx_tresca.dual.nodal_values import replaced
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
@@ -270,32 +270,22 @@ class TangentProblem(ContactSystem):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.tangent, self.u, self._on_accept = tangent, tangent.u, on_accept
-        u = self.u
         self._has_history = tangent.has_material or on_accept is not None
-        self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
+        u = self.u.x.array
+        self._reference = u.copy() if self._has_history else np.zeros_like(u)
         self._mixed_norm: PETSc.Mat | None = None  # block of displacements, without conditions
-        with self.at_unknowns(self._reference):
+        with replaced([self.u], [self._reference]):
             if tangent.component is not None:
                 tangent.update_material()
                 tangent.assemble_form()
                 self._mixed_norm = tangent.displacement_stiffness()
             super().__init__(tangent, pairs, *solver)
-        self.unknowns = u
+        self.unknowns = self.u
         # motions of the obstacles at the start and at the end of a solve
         self._places = (self.obstacles.motions,) * 2
         self._loads_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
-
-    @contextmanager
-    def at_unknowns(self, values: Array) -> Iterator[None]:
-        """Set u to other values inside the block, and restore it at the end. Not collective."""
-        present = self.u.x.array.copy()
-        self.u.x.array[:] = values
-        try:
-            yield
-        finally:
-            self.u.x.array[:] = present
 
     @property
     def displacement(self) -> fem.Function:
@@ -314,7 +304,7 @@ class TangentProblem(ContactSystem):
             return
         w, is_converged = solution.fields.w, solution.status is ContactStatus.CONVERGED
         try:
-            with self.at_unknowns(w.x.array):
+            with replaced([self.u], [w.x.array]):
                 self.tangent.forget_material()
                 states = w.x.array, w.x.array - self._reference
                 if is_converged and self.is_large(self.residual_norm(), *states):
@@ -392,7 +382,7 @@ class TangentProblem(ContactSystem):
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
         jump = self.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with self.at_unknowns(self._reference):
+            with replaced([self.u], [self._reference]):
                 self.tangent.assemble_stiffness()
             self._stiffness_for = jump, local_stiffness(jump)
         return self._stiffness_for[1]
@@ -426,7 +416,7 @@ class TangentProblem(ContactSystem):
         Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
         other than displacements are zero, too: stiffness added to them would change constraints.
         """
-        with self.at_unknowns(self._reference):
+        with replaced([self.u], [self._reference]):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free, moves = stiffness.createVecs()
