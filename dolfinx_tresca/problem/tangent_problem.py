@@ -281,9 +281,6 @@ class TangentProblem(ContactSystem):
                 self._mixed_norm = tangent.displacement_stiffness()
             super().__init__(tangent, pairs, *solver)
         self.unknowns = self.u
-        # motions of the obstacles at the start and at the end of a solve
-        self._places = (self.obstacles.motions,) * 2
-        self._loads_in_parts = False
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
 
@@ -440,7 +437,8 @@ class TangentProblem(ContactSystem):
         same = u is not None and np.array_equal(u.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
             before = accepted.motions  # a trial may have left obstacles elsewhere
-        self._places, self._loads_in_parts = (before, self.obstacles.motions), False
+        self._places = before, self.obstacles.motions  # at the start and at the end of the solve
+        self._loads_in_parts = False
         self.tangent.forget_material()  # the caller may have changed the material's history
         if not self.tangent.has_material:
             self.tangent.check_functions()
