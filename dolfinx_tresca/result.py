@@ -23,16 +23,14 @@ from dolfinx_tresca.errors import (
     shown,
 )
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output import io, plot
-from dolfinx_tresca.output.grid import Field
-from dolfinx_tresca.output.report import page
-from dolfinx_tresca.output.summary import contact_rows, error_rows
+from dolfinx_tresca.output import files, plot
+from dolfinx_tresca.output.files import Field
+from dolfinx_tresca.output.report import contact_rows, error_rows, page
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.table import LISTED_ROWS, Row, Tabulated
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import LISTED_ROWS, Row, Tabulated, Units
 
 #: What helps where an iteration has ended with a status.
 ADVICE = {
@@ -324,12 +322,12 @@ class ContactSolution(Evaluation, Tabulated):
         return str(self)
 
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
-        """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""
-        io.write(path, self, fields=fields)
+        """Write the fields for ParaView; see `dolfinx_tresca.output.files.write`. Collective."""
+        files.write(path, self, fields=fields)
 
     def to_pyvista(self, *, fields: Sequence[Field] = ()) -> Any:
-        """Return the blocks for pyvista; see `dolfinx_tresca.output.io.to_pyvista`. Collective."""
-        return io.to_pyvista(self, fields=fields)
+        """Return the blocks for pyvista; see `output.files.to_pyvista`. Collective."""
+        return files.to_pyvista(self, fields=fields)
 
     def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:
         """Save a picture, or return it; see `dolfinx_tresca.output.plot.plot`. Collective."""

@@ -26,7 +26,7 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca.output.summary import significant
+from dolfinx_tresca.output.report import significant
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, bricks_problem, two_bricks

@@ -44,7 +44,7 @@ from dolfinx_tresca import (
     refinement_indicators,
     solve_adaptively,
 )
-from dolfinx_tresca.output.io import to_pyvista, write
+from dolfinx_tresca.output.files import to_pyvista, write
 
 pytestmark = [
     pytest.mark.parallel,

@@ -23,7 +23,7 @@ from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
-from dolfinx_tresca.output.summary import ProblemSummary
+from dolfinx_tresca.output.report import ProblemSummary
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group

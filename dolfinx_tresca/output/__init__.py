@@ -12,5 +12,5 @@ curve of 2D. A `Contact` is a surface gathered for its panel.
 A table is a list of `Row`s, names and values, which `print` and notebooks show. A report is tables
 and the picture on one page, with the versions of all software.
 
-Read first: `io.write`, `grid.gather_grid`, `plot.compose`.
+Read first: `files.write`, `files.gather_grid`, `plot.compose`.
 """

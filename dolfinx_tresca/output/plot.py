@@ -20,11 +20,11 @@ from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.output import views
-from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
+from dolfinx_tresca.output import panels
+from dolfinx_tresca.output.files import ROOT, Grid, gather_grid
 from dolfinx_tresca.output.panels import Contact, draw_curve, gather_contact
 from dolfinx_tresca.solution.fields import SurfaceFields
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
 
@@ -52,7 +52,7 @@ def plot(
     The bodies are drawn with the magnified displacement u. Colours show the length of u, lines the
     undeformed edges. Rigid obstacles near the bodies are drawn, too; in 3D their sides that are
     seen from within are transparent, so that they do not hide the bodies. The magnification that
-    `views.magnification` chooses is so small that surfaces which have met, and the sides of an
+    `panels.magnification` chooses is so small that surfaces which have met, and the sides of an
     initial overlap, also touch in the picture.
 
     Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
@@ -119,7 +119,7 @@ def plot(
         kind = suffix[1:]
         with matplotlib.style.context(STYLE), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
-            figure.savefig(picture, format=kind, dpi=views.DPI)
+            figure.savefig(picture, format=kind, dpi=panels.DPI)
         if name is None:
             import PIL.Image
 
@@ -143,8 +143,8 @@ def compose(
     left, right = halves
     if count > 2:
         left = left.subfigures(2, 1, height_ratios=(2, count - 2), squeeze=False)[0, 0]
-    views.draw_bodies(left, volume, contacts, scale, units.length if units else "")
-    draw = draw_curve if volume.dim == 2 else views.draw_surface
+    panels.draw_bodies(left, volume, contacts, scale, units.length if units else "")
+    draw = draw_curve if volume.dim == 2 else panels.draw_surface
     for panel, contact in zip(
         right.subfigures(count, 1, squeeze=False)[:, 0], contacts, strict=True
     ):

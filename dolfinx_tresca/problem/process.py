@@ -41,8 +41,7 @@ from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.fields import slip_from
 from dolfinx_tresca.solution.forces import Resultant, Supports
-from dolfinx_tresca.table import Row, Tabulated
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Row, Tabulated, Units
 
 
 def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:

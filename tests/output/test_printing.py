@@ -32,7 +32,7 @@ from dolfinx_tresca import (
     contacts,
 )
 from dolfinx_tresca._base.parallel import UNBROKEN, fill
-from dolfinx_tresca.output.summary import significant, vector
+from dolfinx_tresca.output.report import significant, vector
 from dolfinx_tresca.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
 from scenes.patches import SIDES, patch

@@ -27,7 +27,7 @@ from dolfinx_tresca import (
     SolutionWriter,
     Tresca,
 )
-from dolfinx_tresca.output.io import read_pvd
+from dolfinx_tresca.output.files import read_pvd
 from scenes.patches import patch
 from scenes.two_bricks import two_bricks
 
