@@ -18,20 +18,18 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
-
-from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 
-import basix
 import dolfinx.plot
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.atomic_write import atomic_write, file_named_in_errors
 from dolfinx_tresca._base.bodies import label_bodies
@@ -54,7 +52,6 @@ _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 STATE_COLOURS = Path(__file__).with_name("contact_state.json")
 
 _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
-_BYTE_ORDER = {"little": "LittleEndian", "big": "BigEndian"}[sys.byteorder]
 
 
 @dataclass(frozen=True)
@@ -152,22 +149,21 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
     return rows
 
 
-def blocks_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, list[fem.Function]]:
-    """Return the Functions of the blocks "volume" and "contact" of a file. Collective.
+def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid | None]:
+    """Return the grids "volume" and "contact" of a solution, None on other ranks than the first.
 
-    With several pairs there is a block for each, named after the pair. The Functions of a block are
-    on one mesh, and of one degree or of degree 0. The degree of the volume is high enough for
-    curved cells to be shown as curved; surfaces are of degree 1.
+    With several pairs there is a grid for each, named after the pair. The degree of the volume is
+    high enough for curved cells to be shown as curved; surfaces are of degree 1. Collective.
 
     Args:
         solution: the solution to be written.
-        fields: further Functions and tags for the block "volume".
+        fields: further Functions and tags for the grid "volume".
 
     Raises:
         InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
             mesh, or has a name that is in use; or `fields` is a single field.
     """
-    check_solution(solution)
+    check_type("solution", solution, Evaluation, "what solve() has returned")
     u, surfaces = solution.u, solution.surfaces
     if isinstance(fields, fem.Function | MeshTags):
         raise InputError(f"fields must be a sequence: write [field] for '{fields.name}' alone.")
@@ -176,29 +172,19 @@ def blocks_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, list[f
         volume.append(solution.cell_errors)
     for field in fields:
         volume.append(_checked(field, u, [function.name for function in volume]))
-    blocks = {"volume": _in_one_degree(volume)}
+    grids = {"volume": gather_grid(_in_one_degree(volume))}
     for i, surface in enumerate(surfaces):
         name = "contact" if len(surfaces) == 1 else surface.name
-        blocks[_unused_name(name, blocks, i + 1)] = list(surface.functions)
-    return blocks
-
-
-def check_solution(solution: Any) -> None:
-    """Check that a solution is one. Not collective.
-
-    Raises:
-        InputError: it is not.
-    """
-    if not isinstance(solution, Evaluation):
-        raise InputError(f"solution must be what solve() has returned, found {shown(solution)}.")
+        grids[_unused_name(name, grids, i + 1)] = gather_grid(surface.functions)
+    return grids
 
 
 def _unused_name(name: str, taken: Container[str], number: int) -> str:
-    """Return an unused name for a block, of letters, digits and underscores. Not collective.
+    """Return an unused name for a grid, of letters, digits and underscores. Not collective.
 
     Args:
         name: name of a pair.
-        taken: names of other blocks.
+        taken: names of other grids.
         number: number of the pair, which is appended if the name is taken.
     """
     result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
@@ -220,7 +206,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
     """Check a field of the user and return it; tags of cells become a Function of degree 0.
 
     Raises:
-        InputError: see `blocks_of`.
+        InputError: see `grids_of`.
     """
     mesh = u.function_space.mesh
     if not isinstance(field, fem.Function | MeshTags):
@@ -242,18 +228,13 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
     V = field.function_space
     if not same_topology(V.mesh, mesh):
         raise InputError(f"'{field.name}' lives on another mesh than the displacement.")
-    try:
-        element = V.element.basix_element
-        lagrange = element.family == basix.ElementFamily.P and (
-            element.degree == 0 or not element.discontinuous
-        )
-    except RuntimeError:  # a mixed element, or values at points only
-        lagrange = False
+    element = V.ufl_element()
+    lagrange = element.family_name == "P" and (element.degree == 0 or not element.discontinuous)
     real = field.x.array.dtype.kind == "f"
     if not (real and lagrange and V.dofmap.bs == math.prod(field.ufl_shape)):
         raise InputError(
             f"'{field.name}' must be a real Lagrange Function or one of degree 0 ('DG', 0), found "
-            f"{V.ufl_element()} of {field.x.array.dtype}: interpolate it."
+            f"{element} of {field.x.array.dtype}: interpolate it."
         )
     return field
 
@@ -277,87 +258,6 @@ def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
         result.x.scatter_forward()
         results.append(result)
     return results
-
-
-class DataSet(NamedTuple):
-    """A line of a `.pvd`: one block at one time.
-
-    Attributes:
-        time: time in any unit.
-        name: name of the block.
-        file: path of the `.vtu`, from the folder of the `.pvd`.
-    """
-
-    time: float
-    name: str
-    file: str
-
-
-def _comm_of_solution(given: Mapping[str, Any]) -> MPI.Comm | None:
-    """Return the communicator of a solution, or None without a solution. Not collective."""
-    return comm_of("u")({"u": getattr(given.get("solution"), "u", None)})
-
-
-@collective(_comm_of_solution, ignored=("path",))
-def write(path: str | Path, solution: Evaluation, *, fields: Sequence[Field] = ()) -> None:
-    """Write displacement and contact fields for ParaView, as a `.pvd`.
-
-    There is a block "volume" and, for the secondary surface of the pair, a block "contact"; with
-    several pairs, there are blocks named after the pairs, such as "upper_on_lower". The parent
-    folder is created. Beside the file is a folder, to which each rank writes its part of the grids
-    as `.vtu`. The folder also has the names and colours of the states for ParaView (`state.json`).
-    For several solutions see `SolutionWriter`.
-
-    Displacements of degree 2 and curved meshes are kept; contact fields are of degree 1. Vectors of
-    2D get a third component 0, as ParaView requires. Without friction there are no fields
-    "traction" and "slip". With load steps there are "slip_increment" and "slip_path" as well, from
-    the second step on.
-
-    Beside the displacement the volume has `body`, the number of each cell's body, counted from 1 as
-    in messages; `cell_errors`, if they were estimated; and the requested fields.
-
-    Collective.
-
-    Args:
-        path: the file; the first rank's path counts.
-        solution: the solution that `ContactProblem.solve` returned.
-        fields: further fields of the volume, under their names: Lagrange Functions, or Functions of
-            degree 0, on the mesh of the displacement, such as a von Mises stress; and `MeshTags` of
-            its cells, such as materials, with 0 in cells without a tag.
-
-    Raises:
-        InputError: the suffix is unknown, a field is of another kind or has a name that is taken,
-            or the file cannot be written.
-    """
-    check_solution(solution)
-    path = solution.u.function_space.mesh.comm.bcast(str(path), root=ROOT)
-    SolutionWriter(path).write(solution, 0.0, fields=fields)
-
-
-@collective(_comm_of_solution)
-def to_pyvista(solution: Evaluation, *, fields: Sequence[Field] = ()) -> Any:
-    """Return the named blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
-
-    Args:
-        solution: the solution that `ContactProblem.solve` returned.
-        fields: see `write`.
-
-    Returns:
-        the whole model, gathered; None on other ranks.
-
-    Raises:
-        InputError: a field is of another kind or has a name that is taken.
-        ContactError: pyvista is missing.
-    """
-    blocks = blocks_of(solution, fields)
-    grids = {name: gather_grid(functions) for name, functions in blocks.items()}
-    with errors_on_all_ranks(solution.u.function_space.mesh.comm):
-        converted = {name: grid.to_pyvista() for name, grid in grids.items() if grid is not None}
-        if not converted:
-            return None
-        import pyvista
-
-        return pyvista.MultiBlock(converted)
 
 
 class SolutionWriter:
@@ -391,23 +291,23 @@ class SolutionWriter:
         self._path = Path(path)
         self._append = append
         self._latest_time = -math.inf
-        self._series: list[DataSet] | None = None  # on the first rank, after the first step
+        # attributes of the grids in the index, on the first rank, after the first step
+        self._series: list[dict[str, str]] | None = None
 
-    @collective(_comm_of_solution, ignored=("time",))
+    @collective(comm_of("solution"), ignored=("time",))
     def write(self, solution: Evaluation, time: float, *, fields: Sequence[Field] = ()) -> None:
         """Add a solution. Collective.
 
         Args:
             solution: the solution that `ContactProblem.solve` returned.
             time: time in any unit, larger than the previous one; the first rank's time counts.
-            fields: see `dolfinx_tresca.output.files.write`.
+            fields: see `ContactSolution.write`.
 
         Raises:
             InputError: the time is not a number, or not larger than the previous one; a field is of
                 another kind, or the files cannot be written.
         """
-        blocks = blocks_of(solution, fields)
-        comm: MPI.Comm = solution.u.function_space.mesh.comm
+        grids, comm = grids_of(solution, fields), solution.comm
         time, path = comm.bcast((time, str(self._path)), root=ROOT)
         if not isinstance(time, Real) or not self._latest_time < time < math.inf:
             beyond = f" above {self._latest_time:g}, the last one"
@@ -416,7 +316,6 @@ class SolutionWriter:
                 f"found {time!r}."
             )
         self._path = Path(path)
-        grids = {name: gather_grid(functions) for name, functions in blocks.items()}
         with errors_on_all_ranks(comm), file_named_in_errors(self._path):
             if comm.rank == ROOT:
                 self._write_step(float(time), grids)
@@ -436,7 +335,7 @@ class SolutionWriter:
         if self._series is not None:
             series = list(self._series)
         elif self._append and self._path.exists():
-            series = [data for data in read_pvd(self._path) if data.time < time]
+            series = self._earlier_steps(time)
         else:
             series = []
         steps = self._path.with_suffix("")
@@ -444,22 +343,44 @@ class SolutionWriter:
         folder = next(folder for folder in folders if not folder.exists())
         folder.mkdir(parents=True)
         try:
-            for name, grid in grids.items():
+            for number, (name, grid) in enumerate(grids.items()):
                 assert grid is not None  # on this rank
                 write_vtu(folder / f"{name}.vtu", grid)
-                series.append(DataSet(time, name, f"{steps.name}/{folder.name}/{name}.vtu"))
+                file = f"{steps.name}/{folder.name}/{name}.vtu"
+                entry = {"timestep": repr(time), "part": str(number), "name": name, "file": file}
+                series.append(entry)
             shutil.copyfile(STATE_COLOURS, steps / "state.json")
+            root = _root("Collection")
+            collection = ET.SubElement(root, "Collection")
+            for entry in series:
+                ET.SubElement(collection, "DataSet", entry)
+            ET.indent(root)
             with atomic_write(self._path) as index:
-                write_pvd(index, series)
+                ET.ElementTree(root).write(index, encoding="utf-8", xml_declaration=True)
         except Exception:
             _remove_grids(folder)
             raise
         if self._series is None:
-            kept = {Path(data.file).parent.name for data in series}
+            kept = {Path(entry["file"]).parent.name for entry in series}
             for step in steps.glob("[0-9]*"):
                 if step.name.isdecimal() and step.name not in kept:
                     _remove_grids(step)
         self._series = series
+
+    def _earlier_steps(self, time: float) -> list[dict[str, str]]:
+        """Return the entries of the existing index before a time. Not collective.
+
+        Raises:
+            OSError: the file cannot be read.
+            InputError: the file is no such index.
+        """
+        try:
+            entries = [item.attrib for item in ET.parse(self._path).iter("DataSet")]
+            return [entry for entry in entries if float(entry["timestep"]) < time]
+        except (ET.ParseError, KeyError, ValueError) as error:
+            raise InputError(
+                f"cannot add to '{self._path}', which is no series: {error!r}."
+            ) from error
 
 
 def _remove_grids(folder: Path) -> None:
@@ -482,16 +403,15 @@ def write_vtu(path: Path, grid: Grid) -> None:
     sizes = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
     piece = ET.SubElement(whole, "Piece", sizes)
     nodes = grid.cells[:, 1:]
-    cells: dict[str, npt.NDArray[Any]] = {
-        "connectivity": nodes.ravel(),
-        "offsets": nodes.shape[1] * np.arange(1, len(nodes) + 1, dtype=np.int64),
-        "types": grid.cell_types.astype(np.uint8),
-    }
     sections: dict[str, dict[str, npt.NDArray[Any]]] = {
         "PointData": grid.values,
         "CellData": grid.cell_values,
         "Points": {"Points": grid.points},
-        "Cells": cells,
+        "Cells": {
+            "connectivity": nodes.ravel(),
+            "offsets": nodes.shape[1] * np.arange(1, len(nodes) + 1, dtype=np.int64),
+            "types": grid.cell_types.astype(np.uint8),
+        },
     }
     for section, arrays in sections.items():
         element = ET.SubElement(piece, section)
@@ -506,41 +426,10 @@ def write_vtu(path: Path, grid: Grid) -> None:
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def write_pvd(path: Path, series: Sequence[DataSet]) -> None:
-    """Write the index of a time series. Not collective.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    root = _root("Collection")
-    collection = ET.SubElement(root, "Collection")
-    names = list(dict.fromkeys(data.name for data in series))
-    for time, name, file in series:
-        number = str(names.index(name))
-        ET.SubElement(collection, "DataSet", timestep=repr(time), part=number, name=name, file=file)
-    ET.indent(root)
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
-
-
-def read_pvd(path: Path) -> list[DataSet]:
-    """Return the entries of a file that `write_pvd` has written. Not collective.
-
-    Raises:
-        OSError: the file cannot be read.
-        InputError: the file is no such series.
-    """
-    try:
-        return [
-            DataSet(float(item.attrib["timestep"]), item.attrib["name"], item.attrib["file"])
-            for item in ET.parse(path).iter("DataSet")
-        ]
-    except (ET.ParseError, KeyError, ValueError) as error:
-        raise InputError(f"cannot add to '{path}', which is no series: {error!r}.") from error
-
-
 def _root(kind: str) -> ET.Element:
     # in files of a version below 2.2, readers reorder the nodes of hexahedra of degree 2
-    header = {"version": "2.2", "byte_order": _BYTE_ORDER, "header_type": "UInt64"}
+    order = f"{sys.byteorder.capitalize()}Endian"
+    header = {"version": "2.2", "byte_order": order, "header_type": "UInt64"}
     return ET.Element("VTKFile", {"type": kind, **header})
 
 

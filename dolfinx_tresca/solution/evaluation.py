@@ -111,6 +111,11 @@ class Evaluation:
     greatest_total_slip: float
     reactions: dict[str, Resultant]
 
+    @property
+    def comm(self) -> MPI.Comm:
+        """The communicator of the mesh."""
+        return self.u.function_space.mesh.comm
+
 
 def evaluate(
     dual: DualProgram,

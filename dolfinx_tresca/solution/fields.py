@@ -17,7 +17,7 @@ import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
-from dolfinx_tresca._base.agreement import collective
+from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.functions import nodes_of_vertices, zero_like
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -142,7 +142,7 @@ class SurfaceFields:
         """
         return np.isin(self.state.x.array, STICKING)
 
-    @collective(lambda given: given["self"].mesh.comm)
+    @collective(comm_of_self)
     def on_mesh(self, name: str) -> fem.Function:
         """Return a field as a Function on the problem's mesh, of degree 1. Collective.
 
