@@ -301,30 +301,6 @@ class Surface:
         )
 
 
-def contact_states(
-    bonded: Mask, has_friction: Mask, pressed: Mask, sticking: Mask, rubbing: Mask
-) -> Array:
-    """Return the values (n,) of `ContactState` at nodes. Not collective.
-
-    Args:
-        bonded: (n,) True at nodes of bonded pairs.
-        has_friction: (n,) True at nodes of pairs with friction at any node, on any rank.
-        pressed: (n,) True at pressed nodes.
-        sticking: (n,) True where the traction is below the slip bound.
-        rubbing: (n,) True where the slip bound is positive, so that open nodes stick or slip.
-    """
-    conditions = {
-        ContactState.BONDED: bonded,
-        ContactState.STICK: has_friction & pressed & sticking,
-        ContactState.SLIP: has_friction & pressed,
-        ContactState.PRESSED: pressed,
-        ContactState.OPEN_STICK: has_friction & rubbing & sticking,
-        ContactState.OPEN_SLIP: has_friction & rubbing,
-    }
-    states = [float(state) for state in conditions]
-    return np.select(list(conditions.values()), states, float(ContactState.OPEN))
-
-
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
     """Return slip vectors and paths from a solution on another mesh. Collective.
 

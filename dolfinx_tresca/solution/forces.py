@@ -72,22 +72,6 @@ def moments(arm: Array, force: Array) -> Array:
     return turning if force.shape[-1] == 3 else turning[..., 2:]
 
 
-def centre_of_forces(comm: Any, places: Array, forces: Array) -> Array:
-    """Return the centre (d,) of the bounding box of all points with forces. Collective.
-
-    This is the point of moments unless the user gives another one; the origin without forces.
-
-    Args:
-        comm: communicator of the mesh.
-        places: (n, d) points of application [length].
-        forces: (n, d) forces.
-    """
-    places = places[forces.any(axis=1)]
-    bounds = [places.min(axis=0, initial=np.inf), (-places).min(axis=0, initial=np.inf)]
-    low, high = reduce_array(comm, bounds, MPI.MIN)
-    return 0.5 * (low - high) if np.isfinite(low).all() else np.zeros_like(low)
-
-
 def resultants_on(
     comm: Any, places: Array, forces: Array, index: Indices, number: int, point: Array
 ) -> tuple[Resultant, ...]:
@@ -111,7 +95,9 @@ def resultants_on(
 def nodal_resultants(
     V: Any, forces: Array, displaced: fem.Function | None, index: Indices, number: int
 ) -> tuple[Resultant, ...]:
-    """Return resultants of nodal forces, about the `centre_of_forces`. Collective.
+    """Return resultants of nodal forces about the middle of their points. Collective.
+
+    This is the centre of the bounding box of all points with forces; without forces, the origin.
 
     Args:
         V: the space of the displacement.
@@ -126,7 +112,10 @@ def nodal_resultants(
     places = V.tabulate_dof_coordinates()[: len(rows), :dim]
     if displaced is not None:
         places = places + owned_values(displaced)
-    centre = centre_of_forces(comm, places, rows)
+    loaded = places[rows.any(axis=1)]
+    bounds = [loaded.min(axis=0, initial=np.inf), (-loaded).min(axis=0, initial=np.inf)]
+    low, high = reduce_array(comm, bounds, MPI.MIN)
+    centre = 0.5 * (low - high) if np.isfinite(low).all() else np.zeros(dim)
     return resultants_on(comm, places, rows, index, number, centre)
 
 
