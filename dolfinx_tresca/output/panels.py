@@ -39,6 +39,9 @@ ALONG_Y, ALONG_Z = np.eye(3)[1:]  #: up in views of 2D; up in views of 3D
 OUTLINE, OPEN_LINE = "#6e6e6e", "#202020"  #: colours of undeformed edges, of open curves
 OBSTACLE_COLOUR = "#a9b8c6"  #: colour of obstacles
 
+#: VTK's numbers of Lagrange tetrahedra and hexahedra -> number and corners of the linear cells.
+LINEAR = {71: (10, 4), 72: (12, 8)}
+
 VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
 INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
 SAMPLES = 300_000  #: approximate number of points at which the distance of an obstacle is computed
@@ -314,18 +317,9 @@ def straight(volume: Grid) -> Grid:
     Of tetrahedra and hexahedra of degree 2 VTK also draws faces between two cells if these have the
     nodes of the face in different orders, and then finds no edges of the bodies.
     """
-    import pyvista
-
-    kinds = pyvista.CellType
-    linear = {
-        kinds.LAGRANGE_TETRAHEDRON: (kinds.TETRA, 4),
-        kinds.LAGRANGE_HEXAHEDRON: (kinds.HEXAHEDRON, 8),
-    }
-    if volume.cell_types[0] not in linear:
-        return volume
-    kind, count = linear[volume.cell_types[0]]
+    kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
     cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
-    return replace(volume, cells=cells, cell_types=np.full(len(cells), int(kind)))
+    return replace(volume, cells=cells, cell_types=np.full(len(cells), kind))
 
 
 def draw_bodies(

@@ -268,24 +268,24 @@ def hint_at_scene(
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
-        secondary = _bodies_at(bodies, paired.nodes, comm)
-        thinnest = thickness[secondary].min(initial=np.inf)
+        sides = [paired.nodes]
         if pair.obstacle is None:
             facets = pair.facet_tags.find(pair.primary)
             nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-            nodes = nodes[nodes < V.dofmap.index_map.size_local]
-            primary = _bodies_at(bodies, nodes, comm)
-            thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
-            alike = np.array_equal(secondary, primary) and secondary.sum() == 1
-            if alike and not pair.touches_itself:
-                warn(
-                    comm,
-                    "both sides of %s are on body %d: it touches itself. If these should be two "
-                    "bodies, they share nodes: mesh them without merging nodes",
-                    *(pair, 1 + int(secondary.argmax())),
-                )
+            sides.append(nodes[nodes < V.dofmap.index_map.size_local])
+        on_bodies = np.array(
+            [np.bincount(bodies.label[side], minlength=bodies.number) for side in sides]
+        )
+        touches = reduce_array(comm, on_bodies) > 0  # (sides, bodies)
+        if len(sides) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
+            warn(
+                comm,
+                "both sides of %s are on body %d: it touches itself. If these should be two "
+                "bodies, they share nodes: mesh them without merging nodes",
+                *(pair, 1 + int(touches[0].argmax())),
+            )
         depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
-        if depth >= thinnest:
+        if depth >= thickness[touches.any(axis=0)].min(initial=np.inf):
             warn(
                 comm,
                 "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
@@ -374,9 +374,3 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
             "elastic tractions do: there may be several solutions, and sliding may begin suddenly",
             -weakening,
         )
-
-
-def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:
-    """Return whether each body (number,) has one of the nodes, on any rank. Collective."""
-    node_counts = np.bincount(bodies.label[nodes], minlength=bodies.number)
-    return reduce_array(comm, node_counts) > 0
