@@ -25,7 +25,7 @@ from dolfinx_tresca.errors import (
 )
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output import plot
-from dolfinx_tresca.output.files import Field, SolutionWriter, grids_of
+from dolfinx_tresca.output.files import Field, SolutionWriter, grids_of, optional
 from dolfinx_tresca.output.report import contact_rows, error_rows, page
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
@@ -368,12 +368,10 @@ class ContactSolution(Evaluation, Tabulated):
         """
         grids = grids_of(self, fields)
         with errors_on_all_ranks(self.comm):
-            blocks = {name: grid.to_pyvista() for name, grid in grids.items() if grid is not None}
-            if not blocks:
+            if not grids:
                 return None
-            import pyvista
-
-            return pyvista.MultiBlock(blocks)
+            blocks = {name: grid.to_pyvista() for name, grid in grids.items()}
+            return optional("pyvista").MultiBlock(blocks)
 
     def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:
         """Save a picture, or return it; see `dolfinx_tresca.output.plot.plot`. Collective."""

@@ -16,6 +16,7 @@ from base64 import b64encode
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from importlib import import_module
 from numbers import Real
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -54,6 +55,23 @@ STATE_COLOURS = Path(__file__).with_name("contact_state.json")
 _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
 
 
+def optional(name: str) -> Any:
+    """Import a module that is needed for pictures or `to_pyvista` only. Not collective.
+
+    Raises:
+        ContactError: it is not installed, or does not suit what is installed.
+    """
+    try:
+        return import_module(name)
+    except (ImportError, AttributeError) as error:  # AttributeError: VTK lacks something
+        package = name.partition(".")[0]
+        raise ContactError(
+            f"pictures and to_pyvista() need {package}, which does not import ({error}): install "
+            f"python3-{package} (Debian) or {package} (conda, pip); `pip install -U pyvista` "
+            "brings one that goes with its VTK."
+        ) from error
+
+
 @dataclass(frozen=True)
 class Grid:
     """A mesh with each node and cell once.
@@ -81,14 +99,7 @@ class Grid:
         Raises:
             ContactError: pyvista is not installed, or does not suit the installed VTK.
         """
-        try:
-            import pyvista
-        except (ImportError, AttributeError) as error:  # AttributeError: VTK lacks something
-            raise ContactError(
-                f"pictures and to_pyvista() need pyvista, which does not import ({error}): install "
-                "python3-pyvista (Debian) or pyvista (conda, pip); `pip install -U pyvista` brings "
-                "one that goes with its VTK."
-            ) from error
+        pyvista = optional("pyvista")
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
         grid.point_data.update(self.values)
         grid.cell_data.update(self.cell_values)
@@ -149,8 +160,8 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
     return rows
 
 
-def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid | None]:
-    """Return the grids "volume" and "contact" of a solution, None on other ranks than the first.
+def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
+    """Return the grids "volume" and "contact" of a solution on the first rank, none on others.
 
     With several pairs there is a grid for each, named after the pair. The degree of the volume is
     high enough for curved cells to be shown as curved; surfaces are of degree 1. Collective.
@@ -172,10 +183,14 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid | 
         volume.append(solution.cell_errors)
     for field in fields:
         volume.append(_checked(field, u, [function.name for function in volume]))
-    grids = {"volume": gather_grid(_in_one_degree(volume))}
-    for i, surface in enumerate(surfaces):
-        name = "contact" if len(surfaces) == 1 else surface.name
-        grids[_unused_name(name, grids, i + 1)] = gather_grid(surface.functions)
+    blocks = [("volume", _in_one_degree(volume))]
+    for surface in surfaces:
+        blocks.append(("contact" if len(surfaces) == 1 else surface.name, [*surface.functions]))
+    grids: dict[str, Grid] = {}
+    for number, (name, functions) in enumerate(blocks):
+        grid = gather_grid(functions)
+        if grid is not None:
+            grids[_unused_name(name, grids, number)] = grid
     return grids
 
 
@@ -321,7 +336,7 @@ class SolutionWriter:
                 self._write_step(float(time), grids)
         self._latest_time = float(time)
 
-    def _write_step(self, time: float, grids: Mapping[str, Grid | None]) -> None:
+    def _write_step(self, time: float, grids: Mapping[str, Grid]) -> None:
         """Write the grids of a step to a new folder, and then an index with this step.
 
         Until the index replaces the old one, all files of the older steps are as they were. After
@@ -344,7 +359,6 @@ class SolutionWriter:
         folder.mkdir(parents=True)
         try:
             for number, (name, grid) in enumerate(grids.items()):
-                assert grid is not None  # on this rank
                 write_vtu(folder / f"{name}.vtu", grid)
                 file = f"{steps.name}/{folder.name}/{name}.vtu"
                 entry = {"timestep": repr(time), "part": str(number), "name": name, "file": file}

@@ -21,7 +21,7 @@ from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.output import panels
-from dolfinx_tresca.output.files import ROOT, Grid, gather_grid
+from dolfinx_tresca.output.files import ROOT, Grid, gather_grid, optional
 from dolfinx_tresca.output.panels import Contact, draw_curve, gather_contact
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.table import Units
@@ -107,17 +107,11 @@ def plot(
         if volume is None:
             return None
         contacts = [contact for contact in gathered if contact is not None]
-        volume.to_pyvista()  # raises an error without pyvista
-        try:
-            import matplotlib.style
-        except ImportError as error:
-            raise ContactError(
-                "pictures need matplotlib: install python3-matplotlib (Debian) or matplotlib "
-                "(conda, pip)."
-            ) from error
+        optional("pyvista")
+        style = optional("matplotlib.style")
         picture = io.BytesIO()
         kind = suffix[1:]
-        with matplotlib.style.context(STYLE), display_for_pictures():
+        with style.context(STYLE), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
             figure.savefig(picture, format=kind, dpi=panels.DPI)
         if name is None:

@@ -24,7 +24,6 @@ import dolfinx
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import RECENT_WARNINGS, UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
@@ -90,7 +89,11 @@ class ProblemSummary:
         texts = []
         for pair, pair_operators, nodes in zip(pairs, operators, counts[2:], strict=True):
             kind = "mortar" if pair.obstacle is None else "obstacle"
-            gap = _gap_range(comm, pair_operators)
+            distance = pair_operators.gap
+            distance = np.where(np.abs(distance) > 1e-12 * pair_operators.sizes, distance, 0.0)
+            extremes = distance.min(initial=np.inf), (-distance).min(initial=np.inf)
+            least, negated = reduce_array(comm, extremes, MPI.MIN)
+            gap = f"gap {least:.3g}" + f" to {-negated:.3g}" * bool(least != -negated)
             texts.append((f"{pair}, {kind}: {nodes} nodes", gap, pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
         free_dofs, contact_nodes = int(counts[0]), int(counts[1])
@@ -111,15 +114,6 @@ class ProblemSummary:
             for pair, gap, law in self.pairs
         ]
         return [*self.size_rows, *abridged(pair_rows, "pairs")]
-
-
-def _gap_range(comm: Any, operators: PairOperators) -> str:
-    """Return the range of the gap as text; rounding is shown as zero. Collective."""
-    gap = np.where(np.abs(operators.gap) > 1e-12 * operators.sizes, operators.gap, 0.0)
-    least, negated = reduce_array(
-        comm, [gap.min(initial=np.inf), (-gap).min(initial=np.inf)], MPI.MIN
-    )
-    return f"gap {least:.3g}" if least == -negated else f"gap {least:.3g} to {-negated:.3g}"
 
 
 def _digits(error: float) -> int:

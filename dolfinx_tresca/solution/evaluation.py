@@ -171,9 +171,18 @@ def evaluate(
     at_pressed = stress[normal], lengths[pressed], paths[pressed]
     largest = [values.max(initial=0.0) for values in at_pressed]
     peak_pressure, greatest_slip, greatest_total_slip = reduce_array(comm, largest, MPI.MAX)
+    in_space = zero_like(B.system.f, "f")
+    owned = -B.whole_force(solution.multipliers).array
+    in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
+    in_space.x.scatter_forward()
+    force_on_nodes = B.system.displacement(in_space, "contact_force")
+    displaced = u if B.frames is not None or B.system.is_tangent else None
+    nodal = owned_values(force_on_nodes)
+    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
     pairs = B.by_pair
     fields: list[SurfaceFields] = []
     pair_states: list[PairState] = []
+    pair_resultants: list[Resultant] = []
     forces: list[Array] = []
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)  # normal, and tangential vector
     for pair, surface in zip(pairs, surfaces, strict=True):
@@ -203,6 +212,9 @@ def evaluate(
         force += operators.weights @ np.column_stack([pressure, traction])
         vectors = pressure[:, None] * operators.normals + traction
         forces.append(-operators.weights[:, None] * vectors)
+        index = np.zeros(len(nodes), dtype=np.intp)
+        scene = comm, operators.places, forces[-1], index, 1, on_bodies[0].point
+        pair_resultants += resultants_on(*scene)
     steps_of_pairs = [steps[nodes] for nodes in B.nodes]
     history = replace(dual.history, origin=origin).after(B, slip, steps_of_pairs, dissipation)
     resultant = reduce_array(comm, force)
@@ -222,17 +234,6 @@ def evaluate(
             "in the energy norm has nothing to refer to",
         )
     cells = dual.compliance.estimator.cell_errors(deformation) if estimate else None
-    in_space = zero_like(B.system.f, "f")
-    owned = -B.whole_force(solution.multipliers).array
-    in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
-    in_space.x.scatter_forward()
-    force_on_nodes = B.system.displacement(in_space, "contact_force")
-    displaced = u if B.frames is not None or B.system.is_tangent else None
-    nodal = owned_values(force_on_nodes)
-    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
-    on_nodes, operators_of_pairs = np.concatenate(forces), [pair.operators for pair in pairs]
-    places = np.concatenate([operators.places for operators in operators_of_pairs])
-    pair_of_node = np.repeat(np.arange(len(pairs)), list(map(len, forces)))
     evaluation = Evaluation(
         u=u,
         w=w,
@@ -254,13 +255,11 @@ def evaluate(
         counts=counts,
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
-        pair_resultants=resultants_on(
-            comm, places, on_nodes, pair_of_node, len(pairs), on_bodies[0].point
-        ),
+        pair_resultants=tuple(pair_resultants),
         pair_states=tuple(pair_states),
         body_resultants=on_bodies,
         between_bodies=resultants_between(
-            u.function_space, bodies.label, operators_of_pairs, on_nodes
+            u.function_space, bodies.label, [pair.operators for pair in pairs], forces
         ),
         body_names=bodies.names,
         peak_pressure=float(peak_pressure),

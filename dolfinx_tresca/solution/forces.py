@@ -120,7 +120,7 @@ def nodal_resultants(
 
 
 def resultants_between(
-    V: Any, label: npt.NDArray[np.int64], pairs: Sequence[PairOperators], forces: Array
+    V: Any, label: npt.NDArray[np.int64], pairs: Sequence[PairOperators], forces: Sequence[Array]
 ) -> dict[tuple[int, int], Resultant]:
     """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
@@ -131,7 +131,7 @@ def resultants_between(
         V: the space of the displacement.
         label: (owned nodes of V,) the body of each node.
         pairs: the operators of the pairs.
-        forces: (n, d) contact forces on the secondary nodes of all pairs [force].
+        forces: for each pair (n, d) contact forces on its secondary nodes [force].
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     # opposite primary nodes exert a share of the force on a secondary node
@@ -139,7 +139,7 @@ def resultants_between(
     secondary = np.concatenate([pair.nodes for pair in pairs])[shares.row]
     partners, column = np.unique(shares.col, return_inverse=True)
     on, by = label[secondary], labels_of(V, label, partners.astype(np.int64))[column]
-    on_lower = (np.sign(by - on) * shares.data)[:, None] * forces[shares.row]
+    on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
     sizes = np.linalg.norm(on_lower, axis=1)[:, None]
     rows = np.hstack([on_lower, moments(places, on_lower), sizes * places, sizes])
