@@ -111,39 +111,34 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 
     Args:
         functions: Functions on the same mesh: one or more continuous Lagrange Functions of one
-            degree, and maybe Functions of degree 0.
+            degree, of which the first Function is one, and maybe Functions of degree 0.
     """
-    nodal = [function for function in functions if not is_constant_in_cells(function)]
-    constant = [function for function in functions if is_constant_in_cells(function)]
-    space = nodal[0].function_space
+    space = functions[0].function_space
     index_map = space.dofmap.index_map
     owned = slice(index_map.size_local)
     cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
     cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + space.dofmap.list.shape[1])
     nodes = cells[:, 1:]
     nodes[:] = index_map.local_to_global(nodes.astype(np.int32).ravel()).reshape(nodes.shape)
-    columns = [points[owned], cells, np.asarray(cell_types)]
-    for function in nodal:  # in the numbering of `space`, which has the same nodes
-        rows = _rows(function)
-        order = np.arange(len(rows))
-        order[space.dofmap.list] = function.function_space.dofmap.list
-        columns.append(rows[order][owned])
-    columns += [_rows(function)[: len(cells)] for function in constant]
+    order = np.arange(len(points))
+    arrays: dict[tuple[int, str], npt.NDArray[Any]] = {}
+    for function in functions:
+        rows, V = _rows(function), function.function_space
+        if V.ufl_element().degree == 0:
+            arrays[1, function.name] = rows[: len(cells)]
+        else:  # in the numbering of `space`, which has the same nodes
+            order[space.dofmap.list] = V.dofmap.list
+            arrays[0, function.name] = rows[order][owned]
+    columns = points[owned], cells, np.asarray(cell_types), *arrays.values()
     gathered = space.mesh.comm.gather(columns, root=ROOT)
     if gathered is None:
         return None
     # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
-    points, cells, cell_types, *arrays = map(np.concatenate, zip(*gathered, strict=True))
-    values, cell_values = (
-        dict(zip([function.name for function in group], of_group, strict=True))
-        for group, of_group in ((nodal, arrays[: len(nodal)]), (constant, arrays[len(nodal) :]))
-    )
-    return Grid(space.mesh.geometry.dim, points, cells, cell_types, values, cell_values)
-
-
-def is_constant_in_cells(function: fem.Function) -> bool:
-    """Return whether a Function is discontinuous of degree 0. Not collective."""
-    return bool(function.function_space.ufl_element().degree == 0)
+    points, cells, cell_types, *whole = map(np.concatenate, zip(*gathered, strict=True))
+    fields: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+    for (is_of_cells, name), values in zip(arrays, whole, strict=True):
+        fields[is_of_cells][name] = values
+    return Grid(space.mesh.geometry.dim, points, cells, cell_types, *fields)
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
