@@ -15,11 +15,11 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arguments import checked_number
+from dolfinx_tresca._base.arguments import check_type, checked_number
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array, warn
-from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
+from dolfinx_tresca.errors import MeshError, PairingError
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.pairing.search.self_contact import FINER
 from dolfinx_tresca.scene.friction import Friction
@@ -117,8 +117,7 @@ def contacts(
         >>> contacts(bricks, friction=Coulomb(0.3))
         [<ContactPair: lower_contact on upper_contact, coefficient of friction 0.3>]
     """
-    if not isinstance(tagged, TaggedMesh):
-        raise InputError(f"tagged must be the result of read_gmsh, found {shown(tagged)}.")
+    check_type("tagged", tagged, TaggedMesh, "the result of read_gmsh")
     limit = None if distance is None else checked_number("distance", distance)
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))

@@ -345,17 +345,13 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
         if V.element.basix_element.degree != 0 or V.dofmap.bs != 1:
             raise InputError(f"cell_errors must have one value in each cell, found {shown(V)}.")
         values: Array = cell_errors.x.array[V.dofmap.list[:count, 0]]
-    elif cell_errors is None:
-        raise InputError(
-            'cell_errors is None: solutions have it after solve() with accuracy="balanced", the '
-            "default."
-        )
     else:
         values = np.asarray(cell_errors)
     if values.shape != (count,) or values.dtype.kind not in "fiu":
         raise InputError(
-            f"cell_errors must be a function of degree 0, or real numbers of shape ({count},), one "
-            f"for each cell that this rank owns; found {values.dtype} of shape {values.shape}."
+            "cell_errors must be a function of degree 0, which solutions have after solve() with "
+            f'accuracy="balanced", the default; or real numbers of shape ({count},), one for each '
+            f"cell that this rank owns; found {values.dtype} of shape {values.shape}."
         )
     wrong = ~(np.isfinite(values) & (values >= 0.0))
     if wrong.any():

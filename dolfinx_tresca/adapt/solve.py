@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from mpi4py import MPI
 
@@ -377,7 +377,18 @@ def solve_adaptively(
         start = time.perf_counter()
         problem = call_on_all_ranks(comm, "build", partial(build, tagged_mesh))
         with errors_on_all_ranks(comm):
-            _check_problem(problem, tagged_mesh)
+            if not isinstance(problem, ContactProblem):
+                raise InputError(
+                    f"build must return a ContactProblem, found {shown(problem)}. The mesh's error "
+                    "is estimated for linear bodies only: for other ones compare solutions on two "
+                    "meshes."
+                )
+            if not same_topology(problem.mesh, tagged_mesh.mesh):
+                raise InputError(
+                    "build must return a problem on the mesh that it is given, found one on "
+                    "another mesh, such as that of the level before: take space, forms, conditions "
+                    "and tags from the argument."
+                )
         with problem:
             options = problem.options
             if goal is not None:  # checked before a solve
@@ -426,22 +437,3 @@ def solve_adaptively(
 def _seconds(comm: MPI.Comm, start: float) -> float:
     """Return the seconds since `start` on the slowest rank. Collective."""
     return float(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
-
-
-def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
-    """Check what `build` returned. Not collective.
-
-    Raises:
-        InputError: the value is not a problem, or is a problem on another mesh.
-    """
-    if not isinstance(problem, ContactProblem):
-        raise InputError(
-            f"build must return a ContactProblem, found {shown(problem)}. The mesh's error is "
-            "estimated for linear bodies only: for other ones compare solutions on two meshes."
-        )
-    if not same_topology(problem.mesh, tagged_mesh.mesh):
-        raise InputError(
-            "build must return a problem on the mesh that it is given, found one on another mesh, "
-            "such as that of the level before: take space, forms, conditions and tags from the "
-            "argument."
-        )

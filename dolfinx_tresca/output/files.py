@@ -173,7 +173,10 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     u, surfaces = solution.u, solution.surfaces
     if isinstance(fields, fem.Function | MeshTags):
         raise InputError(f"fields must be a sequence: write [field] for '{fields.name}' alone.")
-    volume = [u, _bodies(u.function_space)]
+    mesh, V = u.function_space.mesh, u.function_space
+    if mesh not in _LABELS:
+        _LABELS[mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]  # counted from 1 as in messages
+    volume = [u, _of_cells(mesh, "body", slice(None), _LABELS[mesh])]
     if solution.cell_errors is not None:
         volume.append(solution.cell_errors)
     for field in fields:
@@ -203,12 +206,10 @@ def _unused_name(name: str, taken: Container[str], number: int) -> str:
     return result
 
 
-def _bodies(V: Any) -> IntegerFunction:
-    """Return the number of each cell's body, counted from 1 as in messages. Collective."""
-    if V.mesh not in _LABELS:
-        _LABELS[V.mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]
-    function = IntegerFunction(fem.functionspace(V.mesh, ("DG", 0)), name="body")
-    function.x.array[:] = _LABELS[V.mesh]
+def _of_cells(mesh: Any, name: str, cells: Any, values: npt.NDArray[Any]) -> IntegerFunction:
+    """Return a Function of degree 0 with integer values (n,) in given cells (n,). Collective."""
+    function = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name=name)
+    function.x.array[cells] = values
     return function
 
 
@@ -232,9 +233,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
     if isinstance(field, MeshTags):
         if field.dim != mesh.topology.dim or not same_topology(field, mesh):
             raise InputError(f"'{field.name}' are no tags of the cells of this mesh.")
-        function = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name=field.name)
-        function.x.array[field.indices] = field.values
-        return function
+        return _of_cells(mesh, field.name, field.indices, field.values)
     V = field.function_space
     if not same_topology(V.mesh, mesh):
         raise InputError(f"'{field.name}' lives on another mesh than the displacement.")

@@ -24,7 +24,6 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.output.files import Grid, gather_grid
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.solution.fields import STICKING, ContactState, SurfaceFields
-from dolfinx_tresca.table import Units
 
 LEFT = 0.15  #: inches between the left end of a panel and its title
 HEADER, FOOTER = 0.66, 0.62  #: inches for title and legend, and for a colour bar
@@ -209,15 +208,15 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     return curves
 
 
-def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
+def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
     """Draw pressure, traction and slip against arc length. Not collective.
 
     Args:
         panel: the panel of the picture.
         contact: the contact curve.
-        units: units of length and stress.
+        length: unit of length, or "".
+        stress: unit of stress, or "".
     """
-    length, stress = (units.length, units.stress) if units else ("", "")
     values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
     charts = [(["pressure"], "contact pressure", stress)]
     if "slip" in values:
@@ -460,7 +459,7 @@ def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None
         plotter.add_point_labels(start, [contact.label], **text, **box)
 
 
-def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
+def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None:
     """Draw the facets that may touch, seen along their mean normal, or obliquely if closed.
 
     Other facets, such as the sides and the top of a block whose whole boundary has the tag, would
@@ -469,11 +468,11 @@ def draw_surface(panel: Any, contact: Contact, units: Units | None) -> None:
     Args:
         panel: the panel of the picture.
         contact: the contact surface.
-        units: units of length and stress.
+        length: unit of length, or "".
+        stress: unit of stress, or "".
     """
     import pyvista
 
-    length, stress = (units.length, units.stress) if units else ("", "")
     surface = with_normals(contact.grid.to_pyvista())
     contact_normals = surface.point_data_to_cell_data()["normal"]
     # less than this cosine is at the side of a body; edges of rounded surfaces have more

@@ -137,12 +137,13 @@ def compose(
     left, right = halves
     if count > 2:
         left = left.subfigures(2, 1, height_ratios=(2, count - 2), squeeze=False)[0, 0]
-    panels.draw_bodies(left, volume, contacts, scale, units.length if units else "")
+    length, stress = (units.length, units.stress) if units else ("", "")
+    panels.draw_bodies(left, volume, contacts, scale, length)
     draw = draw_curve if volume.dim == 2 else panels.draw_surface
     for panel, contact in zip(
         right.subfigures(count, 1, squeeze=False)[:, 0], contacts, strict=True
     ):
-        draw(panel, contact, units)
+        draw(panel, contact, length, stress)
     return figure
 
 
@@ -163,7 +164,7 @@ def display_for_pictures() -> Iterator[None]:
             if renders_off_screen():
                 variable, value = WINDOW, "vtkEGLRenderWindow"
             else:
-                variable, value = "DISPLAY", stack.enter_context(x_server())
+                variable, value = "DISPLAY", x_server(stack)
             os.environ[variable] = value
             stack.callback(os.environ.pop, variable)
         yield
@@ -176,9 +177,8 @@ def renders_off_screen() -> bool:
     return find_library("EGL") is not None and tuple(pyvista.vtk_version_info) >= (9, 5)
 
 
-@contextmanager
-def x_server() -> Iterator[str]:
-    """Run the X server Xvfb within a `with` block, which gets its DISPLAY.
+def x_server(stack: ExitStack) -> str:
+    """Run the X server Xvfb until a stack ends, and return its DISPLAY.
 
     Raises:
         ContactError: Xvfb is not installed, or it fails.
@@ -194,11 +194,10 @@ def x_server() -> Iterator[str]:
     # picture, and meanwhile it refuses clients or disconnects them.
     options = ["-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
     command = [program, "-displayfd", "1", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
-        try:
-            number = server.stdout.readline().decode().strip() if server.stdout else ""
-            if not number:
-                raise ContactError("Xvfb, the display for the picture, did not start.")
-            yield f":{number}"
-        finally:
-            server.terminate()
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    stack.enter_context(server)
+    stack.callback(server.terminate)
+    number = server.stdout.readline().decode().strip() if server.stdout else ""
+    if not number:
+        raise ContactError("Xvfb, the display for the picture, did not start.")
+    return f":{number}"

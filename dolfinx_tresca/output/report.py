@@ -27,7 +27,7 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
-from dolfinx_tresca.solution.forces import BoltForce, Resultant
+from dolfinx_tresca.solution.forces import BoltForce
 from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Quantity, Row, Units, abridged, as_html, as_text, with_unit
@@ -174,19 +174,13 @@ def contact_rows(
         states = f": {stick} stick, {count - stick - idle} slip"
         return f"{count}" + (states if has_friction and count > idle else "")
 
-    def number(value: float, quantity: Quantity, error: float = results.local_error) -> str:
-        return with_unit(significant(value, error), units, quantity, dim)
-
-    def components(values: Array, quantity: Quantity) -> str:
-        text = vector(scale * values, results.local_error)
-        return with_unit(text, units, quantity, dim).replace(" ", UNBROKEN)
-
-    def force(resultant: Resultant) -> str:
-        return components(resultant.force, "force")
+    def text(value: Any, quantity: Quantity, error: float = results.local_error) -> str:
+        figures = significant(value, error) if np.ndim(value) == 0 else vector(value, error)
+        return with_unit(figures, units, quantity, dim).replace(" ", UNBROKEN)
 
     def opening_of(pair: PairState) -> str:
         is_open = pair.pressed < pair.nodes and scale * pair.opening > 0.0
-        return f", opens by up to {number(pair.opening, 'length')}" if is_open else ""
+        return f", opens by up to {text(pair.opening, 'length')}" if is_open else ""
 
     states = results.pair_states
     opening = opening_of(states[0]) if len(states) == 1 else ""
@@ -201,51 +195,46 @@ def contact_rows(
     if counts.undecided:
         why = "of these: at the limit of their state, within the error"
         rows.append(("  undecided", f"{counts.undecided} {why}"))
-    rows.append(("peak pressure", number(scale * results.peak_pressure, "stress")))
+    rows.append(("peak pressure", text(scale * results.peak_pressure, "stress")))
     if has_friction:
-        slip = number(results.greatest_slip, "length")
-        path = f" in this step, {number(results.greatest_total_slip, 'length')} along its path"
+        slip = text(results.greatest_slip, "length")
+        path = f" in this step, {text(results.greatest_total_slip, 'length')} along its path"
         rows.append(("greatest slip", slip + (path if has_history else "")))
     if has_history:
-        step, total = (
-            number(x, "energy") for x in (results.dissipation, results.total_dissipation)
-        )
+        step, total = (text(x, "energy") for x in (results.dissipation, results.total_dissipation))
         rows.append(("dissipation", f"{step} in this step, {total} so far"))
-    forces = [force(resultant) for resultant in results.pair_resultants]
-    normal = f"{number(scale * results.normal_force, 'force')} normal"
+    forces = [text(scale * r.force, "force") for r in results.pair_resultants]
+    normal = f"{text(scale * results.normal_force, 'force')} normal"
     if len(forces) == 1:
         rows.append(("force", f"{normal}, {forces[0]} on the secondary side"))
     else:
         rows.append(("force", f"{normal}; on the secondary side of each pair:"))
-        pair_rows = [
-            (
-                "",
-                f"{surface.name}: {text}, {pair.pressed} of {pair.nodes} pressed{opening_of(pair)}",
-            )
-            for surface, text, pair in zip(results.surfaces, forces, states, strict=True)
-        ]
+        pair_rows = []
+        for surface, force, pair in zip(results.surfaces, forces, states, strict=True):
+            state = f"{pair.pressed} of {pair.nodes} pressed{opening_of(pair)}"
+            pair_rows.append(("", f"{surface.name}: {force}, {state}"))
         rows += abridged(pair_rows, "pairs")
     if len(results.between_bodies) > 1:
         names = results.body_names
         between = [
-            ("", f"{names[i]} by {names[j]}: {force(resultant)}")
+            ("", f"{names[i]} by {names[j]}: {text(scale * resultant.force, 'force')}")
             for (i, j), resultant in results.between_bodies.items()
         ]
         rows.append(("on bodies", f"{len(between)} pairs of bodies push each other:"))
         rows += abridged(between, "pairs of bodies")
-    rows += [
-        ("support", f"{name}: {force(resultant)}, moment {components(resultant.moment, 'energy')}")
-        for name, resultant in results.reactions.items()
-    ]
+    for name, resultant in results.reactions.items():
+        moment = text(scale * resultant.moment, "energy")
+        force = text(scale * resultant.force, "force")
+        rows.append(("support", f"{name}: {force}, moment {moment}"))
     bolt_rows = [
-        ("bolt", f"{name}: {number(bolt.force, 'force')}, change {number(bolt.change, 'force')}")
+        ("bolt", f"{name}: {text(bolt.force, 'force')}, change {text(bolt.change, 'force')}")
         for name, bolt in bolts.items()
     ]
     rows += abridged(bolt_rows, "bolts")
     primal, dual = results.primal_energy, results.dual_energy
     # both energies get enough digits to be distinguished
     apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
-    energies = [number(energy, "energy", apart) for energy in (primal, dual)]
+    energies = [text(energy, "energy", apart) for energy in (primal, dual)]
     rows.append(("energy", f"{energies[0]} primal, {energies[1]} dual"))
     return rows
 

@@ -197,7 +197,9 @@ def evaluate(
             "normal": operators.normals,
         }
         traction = operators.tangential_vectors(stress[pair.tangential])
-        if reduce_array(comm, len(operators.tangent_node)) > 0:
+        numbers = [len(nodes), int(pressed[nodes].sum()), len(operators.tangent_node)]
+        node_count, pressed_count, tangential = map(int, reduce_array(comm, numbers))
+        if tangential > 0:
             since = operators.tangential_vectors(increment[pair.tangential])
             values["traction"] = traction
             values["slip"] = before[nodes, :-1] + since
@@ -205,10 +207,9 @@ def evaluate(
             if dual.history.begun:
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
-        pressed_nodes, number = reduce_array(comm, [int(pressed[nodes].sum()), len(nodes)])
         opened = (values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0)
         opening = float(reduce_array(comm, opened, MPI.MAX))
-        pair_states.append(PairState(int(pressed_nodes), int(number), opening))
+        pair_states.append(PairState(pressed_count, node_count, opening))
         force += operators.weights @ np.column_stack([pressure, traction])
         vectors = pressure[:, None] * operators.normals + traction
         forces.append(-operators.weights[:, None] * vectors)

@@ -18,12 +18,13 @@ from dolfinx import fem
 from dolfinx_tresca._base.arguments import checked_vector
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
-from dolfinx_tresca._base.compat import EntityMaps, owned_dofs
+from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
+from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 @dataclass(frozen=True)
@@ -166,21 +167,16 @@ class Supports:
 
     Attributes:
         residual: internal minus external forces at u, a form of rank 1.
-        bcs: the Dirichlet conditions.
-        entity_maps: entity maps, needed if the form contains Functions on surfaces; None: there are
-            no entity maps.
+        system: the linear system, with the Dirichlet conditions.
         u: the displacement in this form; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
-        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         facet_tags: tags of facets, for supports that are given by a tag.
     """
 
     residual: ufl.Form
-    bcs: Sequence[Any]
-    entity_maps: EntityMaps | None
+    system: LinearSystem
     u: fem.Function
     contact_force: fem.Function
-    prescribed: Mask
     facet_tags: Any
 
     def reaction(
@@ -220,7 +216,8 @@ class Supports:
             loads = self._at_nodes(at_rest)
             forces = frames.into_space(forces - loads) + loads
         forces -= self.contact_force.x.array[: len(forces)]
-        sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~self.prescribed, slice(None))]
+        free = ~self.system.prescribed
+        sizes = [np.abs(values).max(initial=0.0) for values in (forces[free], forces)]
         sizes.append(np.abs(self.contact_force.x.array).max(initial=0.0))
         unbalanced, *largest = reduce_array(V.mesh.comm, sizes, MPI.MAX)
         # solutions of the default accuracy leave less than a hundredth of this
@@ -241,7 +238,7 @@ class Supports:
     def _at_nodes(self, form: Any) -> Array:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
         V = self.contact_force.function_space
-        return owned_values(assembled(form, V, self.entity_maps)).ravel()
+        return owned_values(assembled(form, V, self.system.entity_maps)).ravel()
 
     def _rounding(self) -> float:
         """Return the size of rounding errors of the forces [force]. Collective.
@@ -272,10 +269,10 @@ class Supports:
             InputError: see `reaction`.
         """
         V = self.contact_force.function_space
-        held = np.zeros(len(self.prescribed), dtype=np.bool_)
+        held = np.zeros(len(self.system.prescribed), dtype=np.bool_)
         tag, springs = integer(where), []
         if tag is None:
-            if not any(where is bc for bc in self.bcs):
+            if not any(where is bc for bc in self.system.bcs):
                 raise InputError(
                     "reaction() needs the tag of a surface, or a Dirichlet condition in the list "
                     f"bcs of the problem, found {shown(where)}."
@@ -295,7 +292,7 @@ class Supports:
                 and tag in np.atleast_1d(integral.subdomain_id())
                 and self.u in ufl.algorithms.extract_coefficients(integral.integrand())
             ]
-        held &= self.prescribed
+        held &= self.system.prescribed
         if not springs and not reduce_array(V.mesh.comm, int(held.sum())):
             raise InputError(
                 f"nothing holds the bodies at {shown(where)}: no condition and no spring."

@@ -69,7 +69,7 @@ ADVICE_TO_PAIRS = (
 
 
 class Departure(NamedTuple):
-    """A measure of how far a solution has left linear theory, beyond `limit.noticed`.
+    """A measure of how far a solution has left linear theory.
 
     Attributes:
         value: the measure.
@@ -91,10 +91,10 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
 
     Args:
         comm: communicator of the mesh.
-        departures: the departures of the solution.
+        departures: measures of the solution, of which those beyond `limit.noticed` count.
         noticed: the limits whose departures were logged; this call adds to them.
     """
-    departures = comm.bcast(list(departures))
+    departures = comm.bcast([each for each in departures if each.value > each.limit.noticed])
     outside = [departure for departure in departures if departure.value > departure.limit.largest]
     told = outside or [departure for departure in departures if departure.limit not in noticed]
     noticed.update(departure.limit for departure in told)
@@ -128,17 +128,15 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
     angle[angle <= 2.0 * strain] = 0.0
     body = int(angle.argmax())
-    if angle[body] > ROTATION.noticed:
-        ends = 0.5 * angle[body] * size[body]
-        text = f"{bodies.describe(body)} turns by {angle[body]:.3g} rad: its ends move by some "
-        text += f"{ends:.3g}, and linear theory, which allows {ROTATION.largest} rad, swells it by "
-        text += f"{angle[body] * ends:.2g} and leaves its stresses in their first directions"
-        yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
+    ends = 0.5 * angle[body] * size[body]
+    text = f"{bodies.describe(body)} turns by {angle[body]:.3g} rad: its ends move by some "
+    text += f"{ends:.3g}, and linear theory, which allows {ROTATION.largest} rad, swells it by "
+    text += f"{angle[body] * ends:.2g} and leaves its stresses in their first directions"
+    yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
     body = int(strain.argmax())
-    if strain[body] > DEFORMATION.noticed:
-        text = f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its "
-        text += f"rigid motion, {strain[body]:.3g} times its diagonal"
-        yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
+    text = f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its "
+    text += f"rigid motion, {strain[body]:.3g} times its diagonal"
+    yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
 
 
 def motions_of_pairs(
@@ -172,10 +170,9 @@ def motions_of_pairs(
         if pair.obstacle is not None:
             start, end = pair.obstacle.motion, RigidMotion.from_matrix(place)
             angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
-            if angle > ROTATION.noticed:
-                text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
-                text += f"theory allows {ROTATION.largest}"
-                yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
+            text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
+            text += f"theory allows {ROTATION.largest}"
+            yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
             jumps -= _carried(operators.places, start, end)
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
@@ -223,10 +220,9 @@ def _motions_of_pair(
         return
     size = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
     text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
-    if slip > SLIP.noticed * size:
-        of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
-        of_size += "their normals and partners"
-        yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
+    of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
+    of_size += "their normals and partners"
+    yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
     if in_facets > 1.0 and pair.obstacle is None:
         undeformed = operators.undeformed
@@ -235,8 +231,7 @@ def _motions_of_pair(
         left, total = reduce_array(comm, np.array([force @ beyond, force.sum()]))
         text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that have "
         text += "left the other side, but keep their normals and partners"
-        if left > FORCE_BEYOND_PARTNER.noticed * total:
-            yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
+        yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
 
 
 def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
