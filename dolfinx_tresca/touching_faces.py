@@ -122,9 +122,10 @@ def contacts(
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
     faces = _faces(V, facet_tags)
-    tags_of_body: dict[int, list[int]] = {}
-    for tag, face in faces.items():
-        tags_of_body.setdefault(face.body, []).append(tag)
+    tags_of_body = {
+        body: [tag for tag, face in faces.items() if face.body == body]
+        for body in {face.body for face in faces.values()}
+    }
     sizes = {
         body: float(np.mean([faces[tag].size for tag in tags]))
         for body, tags in tags_of_body.items()
@@ -133,7 +134,6 @@ def contacts(
     measures: dict[tuple[int, int], TouchingFaces] = {}
     distances = {body: np.inf for body in sizes}  # of boxes of faces, to other bodies
     reach = 0.0
-    touching: set[int] = set()
     for tags in combinations(faces, 2):
         bodies, boxes = (faces[tags[0]].body, faces[tags[1]].body), [faces[tag].box for tag in tags]
         if bodies[0] == bodies[1]:
@@ -153,9 +153,9 @@ def contacts(
         if touch is not None:
             pairs.append(pair)
             measures[pair.secondary, pair.primary] = touch
-            touching.update(bodies)
     if len(sizes) == 1:
         raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
+    touching = {faces[tag].body for tags in measures for tag in tags}
     for body in sorted(sizes.keys() - touching):
         names = abridged_names(tags_of_body[body], facet_tags)
         error = MeshError(

@@ -18,10 +18,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import RECENT_WARNINGS, UNBROKEN, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.scene.friction import Friction
@@ -116,24 +116,20 @@ class ProblemSummary:
         return [*self.size_rows, *abridged(pair_rows, "pairs")]
 
 
-def _digits(error: float) -> int:
-    """Return how many digits a relative error justifies: 1 to 8."""
-    return int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
+def figures(values: npt.ArrayLike, error: float) -> str:
+    """Return the text of a number or a vector, with as many digits as its error justifies: 1 to 8.
 
-
-def significant(value: float, error: float) -> str:
-    """Return the text of a number, with as many digits as its relative error justifies: 1 to 8."""
-    return f"{value:.{_digits(error)}g}"
-
-
-def vector(values: Array, error: float) -> str:
-    """Return the text of a vector, with digits for an error relative to its largest component."""
-    digits = _digits(error)
+    Args:
+        values: number or vector.
+        error: error relative to the number, or to the largest component.
+    """
+    digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
     size = float(np.abs(values).max())
-    places = digits - 1 - int(np.floor(np.log10(size))) if size > 0.0 else 0
+    places = digits - 1 - int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
     # + 0.0: components that are rounded to zero have no sign
-    components = [f"{round(float(value), places) + 0.0:.{digits}g}" for value in values]
-    return "(" + f",{UNBROKEN}".join(components) + ")"
+    texts = [f"{round(float(x), places) + 0.0:.{digits}g}" for x in np.atleast_1d(values)]
+    components = f",{UNBROKEN}".join(texts)
+    return f"({components})" if np.ndim(values) else components
 
 
 def _may_be_zero(results: Evaluation) -> bool:
@@ -174,9 +170,8 @@ def contact_rows(
         states = f": {stick} stick, {count - stick - idle} slip"
         return f"{count}" + (states if has_friction and count > idle else "")
 
-    def text(value: Any, quantity: Quantity, error: float = results.local_error) -> str:
-        figures = significant(value, error) if np.ndim(value) == 0 else vector(value, error)
-        return with_unit(figures, units, quantity, dim).replace(" ", UNBROKEN)
+    def text(value: npt.ArrayLike, quantity: Quantity, error: float = results.local_error) -> str:
+        return with_unit(figures(value, error), units, quantity, dim).replace(" ", UNBROKEN)
 
     def opening_of(pair: PairState) -> str:
         is_open = pair.pressed < pair.nodes and scale * pair.opening > 0.0
@@ -276,7 +271,7 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
         values = [step.normal_force, step.peak_pressure, step.total_dissipation]
         values += [step.bolts[name].force for name in bolts]
         reactions = [step.reactions.get(name) for name in supports]
-        texts = [vector(r.force, step.local_error) if r else "" for r in reactions]
+        texts = [figures(r.force, step.local_error) if r else "" for r in reactions]
         rows.append([str(number), step.status.name, *(f"{x:.5g}" for x in values), *texts])
     return rows
 
@@ -306,7 +301,7 @@ def force_graph(solution: Any) -> str:
             f'<line x1="{x[i]:.0f}" y1="{y[i]:.0f}" x2="{x[j]:.0f}" y2="{y[j]:.0f}" '
             f'stroke="#7a93a8" stroke-width="{1.0 + 5.0 * size / largest:.1f}"/>'
         )
-        label = with_unit(significant(size, solution.local_error), solution.units, "force", dim)
+        label = with_unit(figures(size, solution.local_error), solution.units, "force", dim)
         texts.append((0.7 * x[i] + 0.3 * x[j], 0.7 * y[i] + 0.3 * y[j], label))
     for body in shown:
         lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')
