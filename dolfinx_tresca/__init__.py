@@ -25,7 +25,7 @@ from dolfinx_tresca.guaranteed.bound import GuaranteedError
 from dolfinx_tresca.guaranteed.goal import GuaranteedGoal
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.io import SolutionWriter
+from dolfinx_tresca.output.files import SolutionWriter
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.newton import NewtonOptions, NewtonRecord, NewtonStep
@@ -51,8 +51,8 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
+from dolfinx_tresca.table import Units
 from dolfinx_tresca.touching_faces import Contacts, contacts
-from dolfinx_tresca.units import Units
 
 __all__ = [
     "MESHES",

@@ -33,7 +33,7 @@ EXCEPTIONS = {
         "derivatives/gradient_and_tangent.py",
         "of",
     ): "public: ContactTangent.of, the change of a goal",
-    ("units.py", "of"): "public: Units.of, as in units.of('energy')",
+    ("table.py", "of"): "public: Units.of, as in units.of('energy')",
 }
 
 

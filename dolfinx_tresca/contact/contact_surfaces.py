@@ -29,7 +29,7 @@ from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes, weakly_resisted_modes
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.summary import ProblemSummary
+from dolfinx_tresca.output.report import ProblemSummary
 from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group

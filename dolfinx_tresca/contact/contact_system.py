@@ -51,8 +51,7 @@ from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.blas import one_thread
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.table import Row
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Row, Units
 
 #: Statuses with which a solution may have left linear theory. Where a body slides without end,
 #: there is no fixed point of pressures and slip bounds, and the last iterate shows the motion.

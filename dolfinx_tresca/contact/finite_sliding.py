@@ -23,7 +23,7 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 #: Largest number of differences of iterates that Anderson's acceleration uses.
 ANDERSON_DEPTH = 3

@@ -34,7 +34,7 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solvers.convergence import SMALLEST_TOLERANCE
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 
 class ContactProblem(ContactProcess):

@@ -26,7 +26,7 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 #: A residual within rounding is accepted if it is at least this fraction of the residual before it.
 #: (With twice the value, a body that returns to rest takes 100 steps: in each of them its residual

@@ -27,8 +27,7 @@ from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
-from dolfinx_tresca.table import Row
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Row, Units
 
 #: Rows of a linear solution's table that mean nothing for nonlinear bodies: they describe the
 #: quadratic problem of the last step.

@@ -40,8 +40,7 @@ from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
 from dolfinx_tresca.solution.fields import slip_from
 from dolfinx_tresca.solution.forces import Resultant, Supports
-from dolfinx_tresca.table import Row, Tabulated
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Row, Tabulated, Units
 
 
 def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
@@ -474,16 +473,15 @@ class ContactProcess(PetscOwner, Tabulated):
         fields = contact.solution_for("reaction()").fields
         u = getattr(self, "u", fields.deformation)
         facet_tags = self.pairs[0].given_tags("secondary")[0]
-        linear, contact_force = contact.linear, fields.contact_force
-        forms = self._residual_at(u), linear.bcs, linear.entity_maps
-        supports = Supports(*forms, u, contact_force, self.prescribed, facet_tags)
+        scene = contact.linear, u, fields.contact_force, facet_tags
+        supports = Supports(self._residual_at(u), *scene)
         moved = fields.u if contact.slides_far else None
         result = supports.reaction(where, point, moved=moved, frames=contact.jump.frames)
         tag = integer(where)
         if tag is None:
-            name = f"bcs[{[where is bc for bc in supports.bcs].index(True)}]"
+            name = f"bcs[{[where is bc for bc in contact.linear.bcs].index(True)}]"
         else:
-            name = getattr(supports.facet_tags, "names", {}).get(tag, f"tag {tag}")
+            name = getattr(facet_tags, "names", {}).get(tag, f"tag {tag}")
         fields.reactions[name] = result
         return result
 
