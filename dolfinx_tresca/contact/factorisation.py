@@ -14,9 +14,8 @@ from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes, weakly_resisted_modes
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.scene.pair import ContactPair, check_tags
-from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, cholesky, choose, multigrid
-from dolfinx_tresca.stiffness.solver import check_options
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose, warn_of_slow_blas
+from dolfinx_tresca.stiffness.solver import check_options, cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 

@@ -19,9 +19,8 @@ from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.floating.equilibrium import FreeMotion
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Frictionless, Preload
-from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidObstacle
+from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
 
 #: A cut is flat if 1 minus the cosine of the angle between any normal and their mean is at most
 #: this number (a tenth of a degree is 1.5e-6).

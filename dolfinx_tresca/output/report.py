@@ -22,7 +22,7 @@ import dolfinx
 
 from dolfinx_tresca._base.parallel import RECENT_WARNINGS
 from dolfinx_tresca.output.summary import significant, vector
-from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
+from dolfinx_tresca.stiffness.choice import BLAS, loaded_libraries, reference_blas
 from dolfinx_tresca.table import Row, as_html, as_text
 from dolfinx_tresca.units import with_unit
 

@@ -8,7 +8,7 @@ Functions in them, which users change in place before a solve. Nothing here is c
   c + min(F p, l) under the pressure p (`BoundTerms`). Its F may be a `FrictionCurve`, a function of
   pressure and slip.
 - A *scalar field* is what a bound or a gap may be: a number, Constant, Function, expression, or a
-  function of points (`user_fields`).
+  function of points.
 - `RigidMotion`: where an obstacle is, x -> R x + t from where it was made.
 - `NamedTags`, `MergedTags`: tags with their names; lists of tags with one number.
 - `GmshGeometry`: the curved surfaces that facets approximate.

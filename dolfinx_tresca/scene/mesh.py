@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -19,21 +20,27 @@ from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.arguments import checked_number
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry, curved_groups
-from dolfinx_tresca.scene.gmsh_files import (
+from dolfinx_tresca.scene.geometry import (
     CAD_SUFFIXES,
-    CELLS_PER_TURN,
-    check_parameters,
+    Geometry,
+    GmshGeometry,
+    curved_groups,
     gmsh_session,
-    name_groups,
     open_file,
     options,
-    set_sizes,
 )
 
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
+
+#: Number of cells round a full turn of a curved surface.
+CELLS_PER_TURN = 24
+
+#: What the kernel of Gmsh writes into STEP files in place of names.
+NO_NAME = "Open CASCADE STEP translator"
 
 
 class NamedTags(MeshTags):  # type: ignore[misc]
@@ -262,6 +269,148 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
     if len(kinds) > 1:
         names = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
+
+
+def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
+    """Check that a file, which is open without parameters, declares the names of parameters.
+
+    Raises:
+        InputError: the file does not declare one of the names, or is no `.geo` file.
+    """
+    if path.suffix.lower() != ".geo":
+        raise InputError(
+            f"'{path}' takes no parameters, found {', '.join(parameters)}. Read the .geo file that "
+            "it was made from instead."
+        )
+    names = gmsh.parser.getNames()
+    unknown = [name for name in parameters if name not in names]
+    if unknown:  # Gmsh's list does not tell parameters from the file's own variables
+        text = path.read_text(errors="replace")
+        texts = " ".join(re.findall(r"DefineConstant\s*\[.*?\]\s*;", text, flags=re.S))
+        declared = [name for name in names if re.search(rf"\b{re.escape(name)}\b", texts)]
+        raise InputError(
+            f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
+            f"{', '.join(declared) or 'none: declare them with DefineConstant'}."
+        )
+
+
+def name_groups(model: Any, name: str) -> None:
+    """Put each body, and each face of a body, of a model without groups into a group of its own.
+
+    Names are the labels of the file. Without label bodies are `body 1`, `body 2`, and the faces of
+    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces, and their faces are curves. Not
+    collective.
+
+    Args:
+        model: the current model of Gmsh.
+        name: name of the model, for error messages.
+
+    Raises:
+        MeshError: there is no body, a face is in no body, or two bodies share a face.
+    """
+    dim, size = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
+    if dim < 2 or (dim == 2 and size[2] > 1e-5 * size.max()):  # boxes of OpenCASCADE are loose
+        raise MeshError(
+            f"'{name}' has {len(model.getEntities(2))} faces and no solid: the faces do not close "
+            "a body (an open shell). Close and sew them in the CAD program, and export solids."
+        )
+    names: set[str] = set()
+
+    def add(entity: tuple[int, int], otherwise: str) -> str:
+        label = model.getEntityName(*entity).rpartition("/")[2]
+        label = otherwise if not label or label.startswith(NO_NAME) else label
+        same = sum(word == label or word.startswith(f"{label} (") for word in names)
+        names.add(word := f"{label} ({same + 1})" if same else label)
+        model.addPhysicalGroup(entity[0], [entity[1]], entity[1], name=word)
+        return word
+
+    for k, body in enumerate(model.getEntities(dim), start=1):
+        of_body = add(body, f"body {k}")
+        faces = sorted(abs(face) for _, face in model.getBoundary([body], oriented=False))
+        for i, face in enumerate(faces, start=1):
+            bodies = model.getAdjacencies(dim - 1, face)[0]
+            if len(bodies) == 1:
+                add((dim - 1, face), f"{of_body}/{i}")
+                continue
+            both = [model.getPhysicalName(dim, int(body)) or f"body {body}" for body in bodies]
+            raise MeshError(
+                f"bodies {' and '.join(both)} in '{name}' share a face, which makes them one body. "
+                "Contact needs two surfaces with nodes of their own: export the bodies without "
+                "merging them (in Gmsh without fragment and removeAllDuplicates)."
+            )
+    faces = [face for _, face in model.getEntities(dim - 1)]
+    free = [face for face in faces if not len(model.getAdjacencies(dim - 1, face)[0])]
+    if free:
+        raise MeshError(
+            f"{len(free)} of the {len(faces)} faces in '{name}' belong to no "
+            "body: they are an open shell. Close it in the CAD program, or remove the faces."
+        )
+
+
+def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -> None:
+    """Give each body its size of cells, and half of it at faces that are near another body.
+
+    Curved faces have `CELLS_PER_TURN` cells round a turn, if these are smaller. Not collective.
+
+    Args:
+        model: the current model of Gmsh, with a group for each body.
+        size: size of cells [length], or name of a body -> size of its cells; None: from the size of
+            each body, as for bodies that the mapping leaves out.
+        name: name of the model, for error messages.
+
+    Raises:
+        InputError: a size is not a positive number, or no body has a name.
+    """
+    dim = model.getDimension()
+    tags = [tag for _, tag in model.getPhysicalGroups(dim)]
+    groups = {model.getPhysicalName(dim, tag) or str(tag): tag for tag in tags}
+    same = {} if size is None else dict.fromkeys(groups, size)
+    given = size if isinstance(size, Mapping) else same
+    for body, value in given.items():
+        if body not in groups:
+            raise InputError(
+                f"size: '{name}' has no body {shown(body)}; its bodies are {', '.join(groups)}."
+            )
+        checked_number("a size of cells", value)
+    fields: list[int] = []
+
+    def field(kind: str, **settings: float | list[int]) -> int:
+        tag, new = int(model.mesh.field.add(kind)), model.mesh.field
+        for option, value in settings.items():
+            (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
+        return tag
+
+    sizes: dict[int, float] = {}
+    faces: dict[int, list[int]] = {}
+    listed, listed_faces = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
+    for body, tag in groups.items():
+        for entity in map(int, model.getEntitiesForPhysicalGroup(dim, tag)):
+            content = model.occ.getMass(dim, entity)
+            sizes[entity] = float(given.get(body, content ** (1.0 / dim) / 6.0))
+            fields.append(field("Constant", VIn=sizes[entity], **{listed: [entity]}))
+            boundary = model.getBoundary([(dim, entity)], oriented=False)
+            faces[entity] = [abs(face) for _, face in boundary]
+    boxes = {face: _box(model, dim - 1, face) for of_body in faces.values() for face in of_body}
+    for entity, cells in sizes.items():
+        low, high = _box(model, dim, entity)
+        near = [
+            face
+            for other_body in sizes.keys() - {entity}
+            for face in faces[other_body]
+            if (boxes[face][0] <= high + cells).all() and (boxes[face][1] >= low - cells).all()
+        ]
+        if near:
+            distance = field("Distance", Sampling=20, **{listed_faces: sorted(near)})
+            limits = {"SizeMin": 0.5 * cells, "SizeMax": cells}
+            limits |= {"DistMin": 0.5 * cells, "DistMax": 3.0 * cells}
+            growing = field("Threshold", InField=distance, **limits)
+            fields.append(field("Restrict", InField=growing, **{listed: [entity]}))
+    model.mesh.field.setAsBackgroundMesh(field("Min", FieldsList=fields))
+
+
+def _box(model: Any, dim: int, entity: int) -> Array:
+    """Return the least and largest coordinates (2, 3) of an entity."""
+    return np.reshape(model.getBoundingBox(dim, entity), (2, 3))
 
 
 def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
