@@ -43,7 +43,7 @@ class Obstacles:
         self._V, self._pairs = V, pairs
         self._obstacles = [pair.obstacle for pair in pairs]
         self._at_pairing: list[Array] = []
-        self._of_bodies = np.tile(RigidMotion.none().matrix, (len(pairs), 1, 1))
+        self._of_bodies = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
 
     @property
     def motions(self) -> Array:

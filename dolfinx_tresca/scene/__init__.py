@@ -1,7 +1,8 @@
 """Objects that users give: meshes with tags, pairs of surfaces, laws, obstacles, goals.
 
-Objects of this room are checked when they are made, and keep references to the Constants and
-Functions in them, which users change in place before a solve. Nothing here is computed on nodes.
+Types and shapes are checked when an object of this room is made. It keeps references to the
+Constants and Functions in it, which users change in place before a solve: values of slip bounds and
+gaps are checked at the nodes, by rooms above. Nothing here is computed on nodes.
 
 - `ContactPair`: two surfaces, given by tags, with a law; the primary side may be a `RigidObstacle`.
 - A *law* is `Frictionless`, `Bonded`, or a `DryFriction` with the *terms* of its slip bound

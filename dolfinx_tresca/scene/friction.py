@@ -31,55 +31,30 @@ VectorField: TypeAlias = (
     "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )
 
-_CONTINUOUS = "Interpolate it into a continuous space, such as Lagrange 1, or project it there."
 
-
-def check_scalar_field(value: ScalarField, name: str, rounding: float = math.inf) -> None:
-    """Check the type of a scalar that a user gives; a number must not be NaN or too negative.
+def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
+    """Check the type and the shape of a field; other values than NaN are checked at nodes.
 
     Args:
-        value: the scalar.
+        value: the field.
+        shape: () for a scalar, (3,) for a vector.
         name: the name of the quantity, for error messages.
-        rounding: a number must be greater than minus `rounding`. The default accepts every finite
-            negative number: a gap may be negative, and slip bounds are checked later, with a
-            tolerance that depends on the stresses of the problem.
 
     Raises:
-        InputError: the value is not a scalar, is complex, or has no value at nodes; or it is a
-            number that is NaN or negative by `rounding` or more.
+        InputError: the value has another shape, is complex or NaN, or has no value at nodes.
     """
-    number = _numbers(value, (), name)
-    if number is not None and not number > -rounding:
-        raise InputError(f"{name} must not be {invalid(float(number))}, found {number:g}.")
-
-
-def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Array | None:
-    """Return plain numbers as an array; None for functions and expressions, which are checked.
-
-    Raises:
-        InputError: the value has another shape, is no number, or see `check_expression`.
-    """
-    if isinstance(value, Expr | fem.Constant | fem.Expression):
-        expression = value.ufl_expression if isinstance(value, fem.Expression) else value
-        numbers, actual = None, expression.ufl_shape
-    elif callable(value) and not isinstance(value, type):
-        return None
-    else:
-        number = real(value)
-        numbers = np.asarray(value if number is None else number)
-        expression, actual = None, numbers.shape
-    if numbers is not None and numbers.dtype.kind not in "iuf":
-        raise InputError(
-            f"{name} must be {'three numbers' if shape else 'a number'}, a fem.Constant, "
-            "fem.Function, fem.Expression or UFL expression of this shape, or a function of "
-            f"points, found {shown(value)}."
-        )
-    if actual != shape:
-        kind = "a vector of three components" if shape else "a scalar"
-        raise InputError(f"{name} must be {kind}, found shape {actual}.")
-    if expression is not None:
-        check_expression(expression, name)
-    return numbers
+    field = value.ufl_expression if isinstance(value, fem.Expression) else value
+    if isinstance(field, Expr):
+        _check_expression(field, shape, name)
+    elif isinstance(field, type) or not callable(field):
+        number = real(field)
+        numbers = np.asarray(field if number is None else number)
+        if numbers.dtype.kind not in "iuf" or numbers.shape != shape or np.isnan(numbers).any():
+            raise InputError(
+                f"{name} must be {'three numbers' if shape else 'a number'}, a fem.Constant, "
+                "fem.Function, fem.Expression or UFL expression of this shape, or a function of "
+                f"points, found {shown(value)}."
+            )
 
 
 def invalid(number: float) -> str:
@@ -87,36 +62,33 @@ def invalid(number: float) -> str:
     return "NaN" if math.isnan(number) else "negative"
 
 
-def check_expression(expression: Expr, name: str) -> None:
-    """Check that a UFL expression is real and has a single value at each node.
+def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
+    """Check that a UFL expression has a shape, is real, and has a single value at each node.
 
     Raises:
-        InputError: the expression contains a part that is not float64 or not continuous, a trial or
-            test function, or free indices.
+        InputError: the expression has another shape or free indices, or it contains a part that is
+            not float64 or not continuous, or a trial or test function.
     """
-    if expression.ufl_free_indices:
-        raise InputError(f"{name} must have no free indices, found them in {_text(expression)}.")
+    if expression.ufl_shape != shape or expression.ufl_free_indices:
+        kind = "a vector of three components" if shape else "a scalar"
+        free = " and free indices" * bool(expression.ufl_free_indices)
+        raise InputError(f"{name} must be {kind}, found shape {expression.ufl_shape}{free}.")
     for operand in unique_pre_traversal(expression):
         dtype = np.dtype(getattr(operand, "dtype", np.float64))
         if dtype != np.float64:
             raise InputError(f"{name} must be of type float64, found {dtype} in {_text(operand)}.")
         if isinstance(operand, Argument):
             raise InputError(
-                f"{name} must not depend on a trial or test function, found "
-                f"{_text(operand)}. To make it depend on a displacement use a fem.Function."
+                f"{name} must not depend on a trial or test function: take a fem.Function instead."
             )
-        if isinstance(operand, Derivative | GeometricQuantity) and not isinstance(
-            operand, ufl.SpatialCoordinate
-        ):
+        if isinstance(operand, Coefficient):
+            continuous = operand.ufl_element() in ufl.H1
+        else:
+            continuous = not isinstance(operand, Derivative | GeometricQuantity)
+        if not (continuous or isinstance(operand, ufl.SpatialCoordinate)):
             raise InputError(
-                f"{name} {_text(expression)} has no value at nodes, since {_text(operand)} "
-                f"jumps from cell to cell. {_CONTINUOUS}"
-            )
-        if isinstance(operand, Coefficient) and operand.ufl_element() not in ufl.H1:
-            raise InputError(
-                f"{name} has no value at nodes: "
-                f"'{getattr(operand, 'name', operand)}' is a discontinuous Function, of "
-                f"{operand.ufl_element()}. {_CONTINUOUS}"
+                f"{name} {_text(expression)} has no value at nodes, since {_text(operand)} is not "
+                "continuous. Interpolate or project it into a continuous space."
             )
 
 
@@ -143,22 +115,6 @@ def numbers_text(value: Any) -> str:
 def _text(expression: Expr) -> str:
     """Return the text of an expression, cut off if it is long."""
     return textwrap.shorten(str(expression), 80, placeholder=" ...")
-
-
-def check_vector_field(value: VectorField, name: str) -> None:
-    """Check the type of a vector that is a direction; numbers must be finite and not all zero.
-
-    Args:
-        value: the vector.
-        name: the name of the quantity, for error messages.
-
-    Raises:
-        InputError: the vector does not have three components, is complex, or has no value at
-            nodes; or it consists of numbers that are not finite, or are all zero.
-    """
-    numbers = _numbers(value, (3,), name)
-    if numbers is not None and not (np.isfinite(numbers).all() and numbers.any()):
-        raise InputError(f"{name} must be finite and not zero, found {shown(value)}.")
 
 
 #: Step of difference quotients, relative to pressure or slip. With a tenth or ten times this step
@@ -206,16 +162,13 @@ class FrictionCurve:
         Raises:
             InputError: a function returns neither a number nor a number for each node.
         """
-
-        def difference(low: Array, high: Array, function: Callable[[Array], Array]) -> Array:
-            change, result = function(high) - function(low), np.zeros_like(low)
-            return np.divide(change, high - low, out=result, where=high > low)
-
-        p, v = ((1.0 - DIFFERENCE) * argument for argument in (pressure, slip))
-        q, w = ((1.0 + DIFFERENCE) * argument for argument in (pressure, slip))
+        low, high = 1.0 - DIFFERENCE, 1.0 + DIFFERENCE
+        dp, dv = high * pressure - low * pressure, high * slip - low * slip
+        change_with_p = self.values(high * pressure, slip) - self.values(low * pressure, slip)
+        change_with_v = self.values(pressure, high * slip) - self.values(pressure, low * slip)
         return (
-            difference(p, q, lambda x: self.values(x, slip)),
-            difference(v, w, lambda x: self.values(pressure, x)),
+            np.divide(change_with_p, dp, out=np.zeros_like(dp), where=dp > 0.0),
+            np.divide(change_with_v, dv, out=np.zeros_like(dv), where=dv > 0.0),
         )
 
 
@@ -225,9 +178,7 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
     A function that requires two arguments is a curve; a function that requires one argument is a
     function of points.
     """
-    if isinstance(coefficient, type | fem.Constant | fem.Expression | Expr):
-        return None
-    if not callable(coefficient):
+    if isinstance(coefficient, type | fem.Expression | Expr) or not callable(coefficient):
         return None
     try:
         parameters = inspect.signature(coefficient).parameters.values()
@@ -347,11 +298,10 @@ class Tresca(DryFriction):
         """Check the types of the arguments.
 
         Raises:
-            InputError: a bound is not a real scalar, has no single value at a node, or is NaN;
-                `direction` is missing for two bounds, or given for one bound; or it is not a
-                vector.
+            InputError: a bound is not a real scalar, or has no single value at a node; `direction`
+                is missing for two bounds, or given for one bound; or it is not a vector.
         """
-        _check_bound(self.slip_bound, self.direction, "the slip bound")
+        _check_bound(self.slip_bound, self.direction, self.constant_name)
 
     @property
     def terms(self) -> BoundTerms:
@@ -391,10 +341,10 @@ class Coulomb(DryFriction):
     tangential directions either.
 
     Attributes:
-        coefficient: F >= 0 [1], of any type that `Tresca.slip_bound` may have; in 3D also two
-            coefficients (F1, F2), along `direction` and across it: the traction stays within an
-            ellipse with the semi-axes F1 p and F2 p; or a function of two arguments, such as
-            `lambda p, v: 0.3 / (1 + v)`, see below.
+        coefficient: F >= 0 [1], finite (surfaces that never slide are `Bonded`), of any type that
+            `Tresca.slip_bound` may have; in 3D also two coefficients (F1, F2), along `direction`
+            and across it: the traction stays within an ellipse with the semi-axes F1 p and F2 p; or
+            a function of two arguments, such as `lambda p, v: 0.3 / (1 + v)`, see above.
         limit: largest value of the part of the bound that grows with the pressure [stress], a
             scalar of any type that `Tresca.slip_bound` may have: the bound is min(F p, limit), as
             with the shear limit in metal forming. For an ellipse the longer semi-axis is limited,
@@ -430,23 +380,15 @@ class Coulomb(DryFriction):
         """Check the types of the arguments.
 
         Raises:
-            InputError: a coefficient, the limit or the adhesion is not a real scalar, has no single
-                value at a node, or is NaN; a coefficient is a negative or infinite number;
-                `direction` is missing for two coefficients, or given for one coefficient; or it is
-                not a vector.
+            InputError: a coefficient, the limit or the adhesion is not a real scalar, or has no
+                single value at a node; `direction` is missing for two coefficients, or given for
+                one coefficient; or it is not a vector.
         """
-        name = "the coefficient of friction"
         if curve_of(self.coefficient) is None or self.direction is not None:
-            _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
-        pair = self.coefficient if isinstance(self.coefficient, tuple) else (self.coefficient,)
-        if any(math.isinf(real(value) or 0.0) for value in pair):
-            raise InputError(
-                "the coefficient of friction must be finite. Surfaces that never slide are "
-                "Bonded(), or have Tresca(math.inf) if they may open."
-            )
+            _check_bound(self.coefficient, self.direction, "the coefficient of friction")
         if self.limit is not None:
-            check_scalar_field(self.limit, "the limit of the slip bound")
-        check_scalar_field(self.adhesion, self.constant_name)
+            check_field(self.limit, (), "the limit of the slip bound")
+        check_field(self.adhesion, (), self.constant_name)
 
     @property
     def terms(self) -> BoundTerms:
@@ -466,14 +408,12 @@ class Coulomb(DryFriction):
         return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 
-def _check_bound(
-    bound: Any, direction: VectorField | None, name: str, rounding: float = math.inf
-) -> None:
+def _check_bound(bound: Any, direction: VectorField | None, name: str) -> None:
     """Check the type of one bound, or of two bounds and their direction.
 
     Raises:
         InputError: `direction` is missing for two bounds, or given for one bound; see also
-            `check_scalar_field` and `check_vector_field`.
+            `check_field`.
     """
     values = bound if isinstance(bound, tuple) else (bound,)
     if len(values) != (1 if direction is None else 2):
@@ -483,11 +423,11 @@ def _check_bound(
             f"holds, such as direction=(1, 0, 0); found {len(values)} and {given}."
         )
     if direction is None:
-        check_scalar_field(bound, name, rounding)
+        check_field(bound, (), name)
         return
     for value, side in zip(values, DIRECTION_NAMES, strict=True):
-        check_scalar_field(value, f"{name} {side}", rounding)
-    check_vector_field(direction, f"the direction of {name}")
+        check_field(value, (), f"{name} {side}")
+    check_field(direction, (3,), f"the direction of {name}")
 
 
 def _bound_text(bound: Bound | Callable[[Any, Any], Any], direction: VectorField | None) -> str:

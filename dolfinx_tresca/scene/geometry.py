@@ -36,9 +36,8 @@ def gmsh_session() -> Iterator[Any]:
         import gmsh
     except (ImportError, OSError) as error:
         raise MeshError(
-            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with pip "
-            "install gmsh, and the libraries of the system that it needs (Debian, Ubuntu: apt "
-            "install libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2 libxinerama1)."
+            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with pip, and "
+            "its libraries with apt: libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2."
         ) from error
 
     ours = not gmsh.isInitialized()
@@ -211,15 +210,13 @@ def check_geometry(geometry: Geometry | None) -> None:
     Raises:
         InputError: the argument is not a geometry.
     """
-    if geometry is None or isinstance(geometry, GmshGeometry):
-        return
-    if not isinstance(geometry, Mapping) or not all(
+    is_table = isinstance(geometry, Mapping) and all(
         integer(tag) is not None and callable(function) for tag, function in geometry.items()
-    ):
+    )
+    if not (is_table or geometry is None or isinstance(geometry, GmshGeometry)):
         raise InputError(
-            "geometry must be read_gmsh(...).geometry or a dict such as {7: function}, from the "
-            "tag of facets to a function that maps points (3, n) to the nearest points (3, n) on "
-            f"the surface; found {shown(geometry)}."
+            "geometry must be read_gmsh(...).geometry, or tag of facets -> function from points "
+            f"(3, n) to the nearest points (3, n) on the surface; found {shown(geometry)}."
         )
 
 
@@ -281,9 +278,9 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
             f"{name} must give real points of shape (3, {len(points)}), found {projected.dtype} of "
             f"shape {projected.shape}."
         )
-    if not np.isfinite(projected).all():
-        where = tuple(float(f"{c:.6g}") for c in points[~np.isfinite(projected).all(axis=0)][0])
-        raise InputError(f"{name} gives no finite point next to {where}.")
+    finite = np.isfinite(projected).all(axis=0)
+    if not finite.all():
+        raise InputError(f"{name} gives no finite point next to {points[~finite][0].tolist()}.")
     result = points.copy()
     result[:, :dim] = projected.T[:, :dim]
     return result
@@ -327,9 +324,8 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
     on_surface = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
     if on_surface.mean() < 0.1:  # after a refinement the old nodes, at least about a fourth, are
         raise InputError(
-            "nodes are not on the surfaces of the geometry from which Gmsh made the mesh: the mesh "
-            "was moved or scaled. Give the curved surfaces as functions, by dataclasses.replace("
-            "tagged_mesh, geometry={tag: function}), or geometry=None."
+            "nodes are not on the surfaces from which Gmsh made the mesh: it was moved or scaled. "
+            "Take dataclasses.replace(tagged_mesh, geometry=...) with {tag: function} or None."
         )
     return np.where(on_surface, points, place)
 

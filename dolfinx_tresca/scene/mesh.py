@@ -20,7 +20,7 @@ from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arguments import checked_number
+from dolfinx_tresca._base.arguments import check_type, checked_number
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
@@ -167,18 +167,13 @@ def read_gmsh(
         >>> bricks.tags["upper_contact"]
         22
     """
-    if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
-        raise InputError(
-            f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
-        )
+    check_type("comm", comm, MPI.Comm, "an MPI communicator, such as MPI.COMM_WORLD")
     geometry: GmshGeometry | None = None
     if isinstance(path, tuple):
         mesh, cell_tags, facet_tags = path[:3]
-        if not (isinstance(cell_tags, MeshTags) and isinstance(facet_tags, MeshTags)):
-            raise InputError(
-                "the result of model_to_mesh must have tags of cells and of facets: put the bodies "
-                "and their surfaces into physical groups."
-            )
+        for kind, tags_of_kind in (("cells", cell_tags), ("facets", facet_tags)):
+            wanted = "MeshTags, from physical groups of all bodies and surfaces"
+            check_type(f"the tags of {kind}", tags_of_kind, MeshTags, wanted)
         named = getattr(path, "physical_groups", {})
         groups = [(dim, tag, name) for name, (dim, tag) in named.items()]
     else:
@@ -190,9 +185,7 @@ def read_gmsh(
                     model, content = gmsh.model, _meshed(comm, gmsh, path, size, unit, parameters)
             groups, geometry = comm.bcast(content, root=0)
             mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
-    if geometry is None:
-        log(comm, "curved surfaces are not known: gaps follow from the nodes and their normals")
-    elif not geometry.curved:
+    if geometry is not None and not geometry.curved:
         geometry = None
     dims = cell_tags.dim, facet_tags.dim
     names = {d: {tag: name for dim, tag, name in groups if dim == d and name} for d in dims}
@@ -260,11 +253,10 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
             with options(gmsh, {f"Mesh.MeshSize{name}": value for name, value in sizes.items()}):
                 model.mesh.generate(dim)
         except Exception as error:  # gmsh raises nothing more specific
-            hint = (
-                ". Faces of a body that overlap or cross each other, and gaps between faces, "
-                "cannot be meshed: repair them in the CAD program."
-            )
-            raise MeshError(f"Gmsh cannot use '{path}': {error}{hint * is_cad}") from error
+            raise MeshError(
+                f"Gmsh cannot mesh '{path}': {error}. Faces of a body that overlap or cross each "
+                "other, and gaps between faces, must be repaired in the program that made them."
+            ) from error
     kinds = model.mesh.getElementTypes(dim)
     if len(kinds) > 1:
         names = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
@@ -324,26 +316,23 @@ def name_groups(model: Any, name: str) -> None:
         model.addPhysicalGroup(entity[0], [entity[1]], entity[1], name=word)
         return word
 
-    for k, body in enumerate(model.getEntities(dim), start=1):
-        of_body = add(body, f"body {k}")
-        faces = sorted(abs(face) for _, face in model.getBoundary([body], oriented=False))
+    bodies = {b: add((dim, b), f"body {k}") for k, (_, b) in enumerate(model.getEntities(dim), 1)}
+    for body, of_body in bodies.items():
+        faces = sorted(abs(face) for _, face in model.getBoundary([(dim, body)], oriented=False))
         for i, face in enumerate(faces, start=1):
-            bodies = model.getAdjacencies(dim - 1, face)[0]
-            if len(bodies) == 1:
-                add((dim - 1, face), f"{of_body}/{i}")
-                continue
-            both = [model.getPhysicalName(dim, int(body)) or f"body {body}" for body in bodies]
-            raise MeshError(
-                f"bodies {' and '.join(both)} in '{name}' share a face, which makes them one body. "
-                "Contact needs two surfaces with nodes of their own: export the bodies without "
-                "merging them (in Gmsh without fragment and removeAllDuplicates)."
-            )
-    faces = [face for _, face in model.getEntities(dim - 1)]
-    free = [face for face in faces if not len(model.getAdjacencies(dim - 1, face)[0])]
+            sharing = [bodies[number] for number in model.getAdjacencies(dim - 1, face)[0]]
+            if len(sharing) > 1:
+                raise MeshError(
+                    f"bodies {' and '.join(sharing)} in '{name}' share a face, which makes them "
+                    "one body: export them without merging them (in Gmsh without fragment)."
+                )
+            add((dim - 1, face), f"{of_body}/{i}")
+    number = len(model.getEntities(dim - 1))
+    free = number - len(model.getPhysicalGroups(dim - 1))
     if free:
         raise MeshError(
-            f"{len(free)} of the {len(faces)} faces in '{name}' belong to no "
-            "body: they are an open shell. Close it in the CAD program, or remove the faces."
+            f"{free} of the {number} faces in '{name}' belong to no body: they are an open shell. "
+            "Close it in the CAD program, or remove the faces."
         )
 
 
@@ -362,14 +351,16 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
         InputError: a size is not a positive number, or no body has a name.
     """
     dim = model.getDimension()
-    tags = [tag for _, tag in model.getPhysicalGroups(dim)]
-    groups = {model.getPhysicalName(dim, tag) or str(tag): tag for tag in tags}
-    same = {} if size is None else dict.fromkeys(groups, size)
-    given = size if isinstance(size, Mapping) else same
+    bodies = {
+        entity: model.getPhysicalName(dim, tag) or str(tag)
+        for tag, entity in _grouped_entities(model, dim)
+    }
+    names, size = dict.fromkeys(bodies.values(), size), {} if size is None else size
+    given = size if isinstance(size, Mapping) else names
     for body, value in given.items():
-        if body not in groups:
+        if body not in names:
             raise InputError(
-                f"size: '{name}' has no body {shown(body)}; its bodies are {', '.join(groups)}."
+                f"size: '{name}' has no body {shown(body)}; its bodies are {', '.join(names)}."
             )
         checked_number("a size of cells", value)
     fields: list[int] = []
@@ -380,24 +371,20 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
             (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
         return tag
 
-    sizes: dict[int, float] = {}
-    faces: dict[int, list[int]] = {}
     listed, listed_faces = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
-    for body, tag in groups.items():
-        for entity in map(int, model.getEntitiesForPhysicalGroup(dim, tag)):
-            content = model.occ.getMass(dim, entity)
-            sizes[entity] = float(given.get(body, content ** (1.0 / dim) / 6.0))
-            fields.append(field("Constant", VIn=sizes[entity], **{listed: [entity]}))
-            boundary = model.getBoundary([(dim, entity)], oriented=False)
-            faces[entity] = [abs(face) for _, face in boundary]
-    boxes = {face: _box(model, dim - 1, face) for of_body in faces.values() for face in of_body}
-    for entity, cells in sizes.items():
+    faces = [
+        (abs(face), entity, *_box(model, dim - 1, abs(face)))
+        for entity in bodies
+        for _, face in model.getBoundary([(dim, entity)], oriented=False)
+    ]
+    for entity, body in bodies.items():
+        cells = float(given.get(body, model.occ.getMass(dim, entity) ** (1.0 / dim) / 6.0))
+        fields.append(field("Constant", VIn=cells, **{listed: [entity]}))
         low, high = _box(model, dim, entity)
         near = [
             face
-            for other_body in sizes.keys() - {entity}
-            for face in faces[other_body]
-            if (boxes[face][0] <= high + cells).all() and (boxes[face][1] >= low - cells).all()
+            for face, owner, least, largest in faces
+            if owner != entity and (least <= high + cells).all() and (largest >= low - cells).all()
         ]
         if near:
             distance = field("Distance", Sampling=20, **{listed_faces: sorted(near)})
@@ -478,8 +465,7 @@ def _check_facets(model: Any, path: Path) -> None:
             raise MeshError(
                 f"{(wrong == wrong[0]).sum()} of the {(tags == wrong[0]).sum()} facets of group "
                 f"{model.getPhysicalName(dim - 1, wrong[0]) or wrong[0]} in '{path}' are not faces "
-                "of a cell: the meshes of the surface and of the volume do not fit together, or no "
-                "volume of that body is in a physical group."
+                "of a cell: the volume is in no physical group, or its mesh is another one."
             )
         table = np.unique(np.column_stack([facet, tags]), axis=0)
         twice = np.flatnonzero(table[1:, 0] == table[:-1, 0])
@@ -488,21 +474,16 @@ def _check_facets(model: Any, path: Path) -> None:
             names = [model.getPhysicalName(dim - 1, tag) or str(tag) for tag in both]
             raise MeshError(
                 f"{len(twice)} facets in '{path}' are in two groups, {names[0]} and {names[1]}: "
-                "a facet has one tag. Put each surface into one group. If they lie between two "
-                "bodies that share their nodes there, these are one body. Contact needs two "
-                "surfaces with nodes of their own: mesh the bodies without merging them (in Gmsh "
-                "without fragment, Coherence and removeDuplicateNodes where they touch), and put "
-                "the face of each body into a group of its own."
+                "a facet has one tag. If they lie between two bodies that share their nodes there, "
+                "mesh the bodies without merging them (in Gmsh without fragment, Coherence and "
+                "removeDuplicateNodes); else put the surface into one group."
             )
 
 
 def _number_nodes(model: Any) -> None:
     """Number the nodes of cells with tags first, without gaps, as DOLFINx requires."""
-    mesh, dim = model.mesh, model.getDimension()
-    (cell,) = mesh.getElementTypes(dim)
-    nodes = [mesh.getElementsByType(cell, entity)[1] for _, entity in _grouped_entities(model, dim)]
+    mesh, groups = model.mesh, model.getPhysicalGroups(model.getDimension())
+    nodes = [mesh.getNodesForPhysicalGroup(*group)[0] for group in groups]
     cell_nodes = np.unique(np.concatenate(nodes))
     before = np.concatenate([cell_nodes, np.setdiff1d(mesh.getNodes()[0], cell_nodes)])
-    wanted = np.arange(1, len(before) + 1)
-    if not np.array_equal(before, wanted):
-        mesh.renumberNodes(before, wanted)
+    mesh.renumberNodes(before, np.arange(1, len(before) + 1))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import numbers_text
 
@@ -38,11 +37,6 @@ class RigidMotion:
     translation: Array
 
     @classmethod
-    def none(cls) -> RigidMotion:
-        """Return the motion that leaves all points where they are."""
-        return cls(np.eye(3), np.zeros(3))
-
-    @classmethod
     def about(cls, point: Array, rotation_vector: Array, translation: Array) -> RigidMotion:
         """Return a rotation about a point, followed by a translation.
 
@@ -56,10 +50,8 @@ class RigidMotion:
 
     def after(self, earlier: RigidMotion) -> RigidMotion:
         """Return an earlier motion, followed by this one."""
-        return RigidMotion(
-            self.rotation @ earlier.rotation,
-            self.rotation @ earlier.translation + self.translation,
-        )
+        translation = self.rotation @ earlier.translation + self.translation
+        return RigidMotion(self.rotation @ earlier.rotation, translation)
 
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction of the way to another motion.
@@ -69,8 +61,8 @@ class RigidMotion:
             fraction: fraction of the way, from 0 to 1.
             centre: (3,) point that moves along a straight line [length].
         """
-        turned = Rotation.from_matrix(end.rotation @ self.rotation.T).as_rotvec()
-        R = Rotation.from_rotvec(fraction * turned).as_matrix() @ self.rotation
+        turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
+        R = turn.as_matrix() @ self.rotation
         ends = [motion.applied_to(centre[:, None])[:, 0] for motion in (self, end)]
         return RigidMotion(R, (1.0 - fraction) * ends[0] + fraction * ends[1] - R @ centre)
 
@@ -96,10 +88,9 @@ class RigidMotion:
         return np.column_stack([self.rotation, self.translation])
 
     @classmethod
-    def from_matrix(cls, matrix: npt.ArrayLike) -> RigidMotion:
+    def from_matrix(cls, matrix: Array) -> RigidMotion:
         """Return the motion with a given (3, 4) array of R and t."""
-        array = np.asarray(matrix, dtype=np.float64)
-        return cls(array[:, :3], array[:, 3])
+        return cls(matrix[:, :3], matrix[:, 3])
 
 
 #: Names of the motions that an obstacle may be free to make, by the dimension of space: along the
@@ -180,8 +171,7 @@ class RigidObstacle:
         """
         if not callable(signed_distance):
             raise InputError(
-                "an obstacle needs a function of points that returns distances and normals, found "
-                f"{shown(signed_distance)}."
+                f"an obstacle needs a function of points, found {shown(signed_distance)}."
             )
         if not all(isinstance(constant, fem.Constant) for constant in constants):
             raise InputError(f"constants must be a list of fem.Constant, found {shown(constants)}.")
@@ -189,7 +179,7 @@ class RigidObstacle:
         self.constants = tuple(constants)
         self._name = str(name)
         self.centre: Array = np.zeros(3)
-        self.motion = RigidMotion.none()
+        self.motion = RigidMotion(np.eye(3), np.zeros(3))
         self.given_forces: GivenForces | None = None
 
     @staticmethod
@@ -332,8 +322,9 @@ class RigidObstacle:
         """
         names = None if free is None else tuple(free)
         if isinstance(free, str) or not set(names or ()) <= set(FREEDOMS[3]):
-            names_of_all = ", ".join(FREEDOMS[3])
-            raise InputError(f"free must be a list of {names_of_all}, found {shown(free)}.")
+            raise InputError(
+                f"free must be a list of {', '.join(FREEDOMS[3])}, found {shown(free)}."
+            )
         given = GivenForces(
             _present(_coordinates, "force", force),
             _present(_axial_vector, "moment", moment),
@@ -349,8 +340,8 @@ class RigidObstacle:
         are not finite are replaced by the largest finite distance.
         """
         with np.errstate(all="ignore"):
-            distance, _ = self.signed_distance(self.motion.reversed_from(points.T))
-            distance = np.asarray(distance, float)
+            returned = self.signed_distance(self.motion.reversed_from(points.T))
+            distance = np.asarray(returned[0], float)
         is_finite = np.isfinite(distance)
         return np.where(is_finite, distance, distance[is_finite].max(initial=0.0))
 
@@ -379,11 +370,10 @@ class RigidObstacle:
         length = np.linalg.norm(normal, axis=0)
         wrong = ~(np.isfinite(distance) & (np.abs(length - 1.0) < 1e-6))
         if wrong.any():
-            point = int(wrong.argmax())
+            k = int(wrong.argmax())
             raise InputError(
                 f"the signed distance of {self} must return finite distances and normals of length "
-                f"1; found distance {distance[point]:g} and length {length[point]:g} at "
-                f"{tuple(float(f'{c:.6g}') for c in points[point])}."
+                f"1; found {distance[k]:g} and the length {length[k]:g} at {points[k].tolist()}."
             )
         return distance, (self.motion.rotation @ normal).T
 
@@ -455,10 +445,8 @@ class RigidSphere(RigidObstacle):
         Raises:
             InputError: the centre is not a point, or the radius is not positive.
         """
-        c, r = (
-            _present(_coordinates, "center", center),
-            _present(checked_number, "radius", radius),
-        )
+        c = _present(_coordinates, "center", center)
+        r = _present(checked_number, "radius", radius)
         kind = "hollow sphere" if hollow else "sphere"
         super().__init__(
             lambda x: _spherical_distance(x - c()[:, None], r(), hollow),
@@ -501,11 +489,7 @@ class RigidCylinder(RigidObstacle):
             InputError: the point or the axis is not a vector, the axis is zero, or the radius is
                 not positive.
         """
-        if getattr(axis, "ufl_shape", np.shape(axis)) == (2,):
-            raise InputError(
-                f"axis must have 3 components, found {shown(axis)}: in 2D the cross-section of a "
-                "cylinder is a disc, RigidSphere(center, radius)."
-            )
+        checked_vector("axis", getattr(axis, "value", axis), 3)
         p, a = _present(_coordinates, "point", point), _present(_direction, "axis", axis)
         r = _present(checked_number, "radius", radius)
 
@@ -557,8 +541,7 @@ def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Arr
     sign = -1.0 if hollow else 1.0
     # at the centre any direction is normal
     normal = np.where(length > 0.0, offset, np.array([[1.0], [0.0], [0.0]]))
-    normal = sign * normal / np.where(length > 0.0, length, 1.0)
-    return sign * (length - radius), normal
+    return sign * (length - radius), sign * normal / np.where(length > 0.0, length, 1.0)
 
 
 def _coordinates(name: str, value: npt.ArrayLike, *, nonzero: bool = False) -> Array:
@@ -577,12 +560,9 @@ def _axial_vector(name: str, value: npt.ArrayLike) -> Array:
     Raises:
         InputError: the value is neither a finite number nor a vector of 3 finite numbers.
     """
-    number = real(value)
-    if number is None and np.shape(value) == (3,):
-        return _coordinates(name, value)
-    if number is None or not math.isfinite(number):
-        raise InputError(f"{name} must be a number or 3 numbers, found {shown(value)}.")
-    return np.array([0.0, 0.0, number])
+    if np.shape(value) == ():
+        return np.array([0.0, 0.0, checked_number(name, value, "(-inf, inf)")])
+    return checked_vector(name, value, 3)
 
 
 def _direction(name: str, value: npt.ArrayLike) -> Array:

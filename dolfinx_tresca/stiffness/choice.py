@@ -62,10 +62,8 @@ def choose(
     check_word("stiffness", method, get_args(StiffnessMethod))
     if method == "multigrid" and saddle:
         raise InputError(
-            "stiffness='multigrid' needs a positive definite K, and K of a mixed space is "
-            "indefinite. Take stiffness='cholesky'; or, for models too large for it, the form "
-            "of the displacement alone, with the volumetric part integrated with a lower "
-            "quadrature_degree."
+            "stiffness='multigrid' needs a positive definite K, not one of a mixed space. Take "
+            "'cholesky', or the displacement alone, with a lower quadrature_degree."
         )
     if method != "auto":
         return method, "requested"

@@ -19,7 +19,7 @@ from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Mask
 from dolfinx_tresca._base.parallel import warn
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.tolerances import ROUGH
-from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 
 #: Advice for breakdowns without a solution, by PETSc's reason.
 _ADVICE = {
@@ -29,10 +29,8 @@ _ADVICE = {
     ),
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC: (
         "The preconditioner is not positive definite. Either K is not, by the material data; or "
-        "stiffnesses differ so much (by 1e12, say) that rounding spoils the coarse matrices or, "
-        "on several ranks, the smoother misjudges its largest eigenvalue. stiffness='cholesky' "
-        "has no preconditioner and tells which: take it, or make soft parts less soft, or raise "
-        "mg_levels_esteig_ksp_max_it in petsc_options."
+        "stiffnesses differ so much (by 1e12, say) that rounding spoils the multigrid. Take "
+        "stiffness='cholesky', which tells which, or raise mg_levels_esteig_ksp_max_it."
     ),
 }
 
@@ -181,7 +179,6 @@ class StiffnessSolver(PetscOwner):
             ContactError: the solver was destroyed.
             StiffnessError: the iteration broke down.
         """
-        self.check_ready()
         if self.exact:
             return self.solve(f, u)
         tolerances = self._ksp.getTolerances()
@@ -204,9 +201,8 @@ class StiffnessSolver(PetscOwner):
         self.matrix.mult(u, Ku)
         square, work = float(u.dot(Ku)), float(u.dot(f))
         Ku.destroy()
-        factor = work / square if 0.0 < square < np.inf else 0.0
-        if not np.isfinite(factor):
-            factor = 0.0
+        factor = work / square if square > 0.0 else 0.0
+        factor = factor if np.isfinite(factor) else 0.0
         u.scale(factor)
         return factor != 0.0
 
@@ -275,9 +271,8 @@ class StiffnessSolver(PetscOwner):
         error = residual.norm(PETSc.NormType.INFINITY) / terms
         if error > 1e-8:  # a factorisation leaves about 1e-16, whatever the condition of K
             raise StiffnessError(
-                f"the {self.name} solver for K, {self}, does not iterate, and leaves {error:.1e} "
-                "of K u as residual: that is no exact solve, and errors would not be known. Take "
-                'petsc_options={"ksp_type": "cg"} with this preconditioner.'
+                f"{self}, without iteration, leaves {error:.1e} of K u as residual: that is no "
+                'exact solve, and errors would not be known. Take {"ksp_type": "cg"}.'
             )
 
     @property
@@ -373,25 +368,22 @@ def cholesky(
         failure, reason, negative, zero = map(factor.getMumpsInfog, (1, 2, 12, 28))
         if failure < 0:
             raise StiffnessError(
-                f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} "
-                "(-10: singular, -9 or -13: out of memory; see its manual). For large models take "
-                "stiffness='multigrid'."
+                f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} (-10: "
+                "singular, -9 or -13: out of memory). For large models take stiffness='multigrid'."
             )
         if constraints == 0 and negative > 0:
             raise not_positive_definite(f"{negative} of {K.getSize()[0]} pivots are negative")
         if constraints != 0 and zero > 0:
             raise StiffnessError(
-                f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Either nothing "
-                "holds a body; or a pressure is not determined: if all of the boundary is clamped, "
-                "it is known up to a constant only, and spaces must be a stable pair, such as "
-                "degree 2 for u and degree 1 for p."
+                f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Nothing holds a body; "
+                "or a pressure is not determined, since all of the boundary is clamped, or since "
+                "spaces are no stable pair, such as degree 2 for u and degree 1 for p."
             )
         if constraints and negative != constraints:
             error = StiffnessError(
                 f"K has {negative} negative pivots, but {constraints} unknowns that are no "
-                "displacements: it is not K of a stable body with a pressure. Its form must be "
-                "a(u, v) + b(v, p) + b(u, q) - c(p, q), with c(p, p) >= 0 and a positive definite "
-                "where b(u, q) = 0 for all q. Check the signs in the form a, and the material data."
+                "displacements. Check the material data, and the signs of the form: a(u, v) + "
+                "b(v, p) + b(u, q) - c(p, q), where c(p, p) >= 0 and a is positive definite."
             )
             if negative > constraints:
                 error.evidence = f"{negative - constraints} pivots of displacements are negative"
@@ -445,12 +437,8 @@ def multigrid(
     Raises:
         StiffnessError: the set-up failed.
     """
-
-    def named(option: str) -> bool:
-        """Return whether the user gives an option, by the argument or in PETSc's database."""
-        in_database = prefix is not None and PETSc.Options(prefix).hasName(option)
-        return option in petsc_options or in_database
-
+    # options of the user in the argument and in PETSc's database
+    given = {*petsc_options, *(() if prefix is None else PETSc.Options(prefix).getAll())}
     krylov: dict[str, Any] = {
         "ksp_type": "cg",
         "ksp_norm_type": "natural",  # sqrt(r'M^-1 r), which is nearly the error in the energy norm
@@ -465,9 +453,9 @@ def multigrid(
         "pc_gamg_esteig_ksp_max_it": 5,
     }
     smoother: dict[str, Any] = {"mg_levels_pc_type": "sor", "mg_levels_ksp_max_it": 1}
-    kinds = ("ksp", "pc")
-    names = [f"{level}mg_levels_{kind}_type" for level in ("", "mg_coarse_") for kind in kinds]
-    if K.comm.size == 1 and not any(map(named, names)):
+    types = ("mg_levels_ksp_type", "mg_levels_pc_type")
+    smoothers = {*types, *(f"mg_coarse_{name}" for name in types)}
+    if K.comm.size == 1 and given.isdisjoint(smoothers):
         # symmetric block Gauss-Seidel: errors fall in the energy norm for any positive definite K,
         # and the preconditioner is positive definite without an estimate of eigenvalues
         smoother["mg_levels_ksp_type"] = "richardson"
@@ -481,7 +469,7 @@ def multigrid(
         smoother["mg_levels_ksp_type"] = "chebyshev"
         smoother["mg_levels_esteig_ksp_max_it"] = 30
     gamg |= smoother
-    if V.element.basix_element.degree == 1 or named("pc_type"):
+    if V.element.basix_element.degree == 1 or "pc_type" in given:
         _set_rigid_body_modes(K, V)
         return StiffnessSolver("multigrid", K, krylov | gamg, petsc_options, prefix)
     levels: dict[str, Any] = {
@@ -549,9 +537,8 @@ def _set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
     too: one set of modes serves any number of bodies.
     """
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
-    points = PETSc.Vec().createMPI(
-        (dim * nodes.size_local, dim * nodes.size_global), bsize=dim, comm=K.comm
-    )
+    points = K.createVecRight()
+    points.setBlockSize(dim)
     points.array = V.tabulate_dof_coordinates()[: nodes.size_local, :dim].ravel()
     K.setNearNullSpace(PETSc.NullSpace().createRigidBody(points))
 
@@ -566,7 +553,6 @@ def check_options(petsc_options: Any, prefix: Any) -> None:
     check_type("petsc_options", petsc_options, Mapping, names)
     for key in petsc_options:
         check_type("a name in petsc_options", key, str, "a string")
-    if prefix is not None and (not isinstance(prefix, str) or prefix.startswith("-")):
-        raise InputError(
-            f"petsc_options_prefix must be a string without leading hyphen, found {shown(prefix)}."
-        )
+    check_type("petsc_options_prefix", prefix, str | None, "a string")
+    if prefix is not None and prefix.startswith("-"):
+        raise InputError(f"petsc_options_prefix has no leading hyphen, found '{prefix}'.")
