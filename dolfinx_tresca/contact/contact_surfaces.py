@@ -38,10 +38,9 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
-from dolfinx_tresca.stiffness.blas import warn_of_slow_blas
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, cholesky, choose, multigrid
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose, warn_of_slow_blas
 from dolfinx_tresca.stiffness.frames import BodyFrames
-from dolfinx_tresca.stiffness.solver import check_options
+from dolfinx_tresca.stiffness.solver import check_options, cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 

@@ -32,8 +32,8 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Preload
+from dolfinx_tresca.scene.obstacle import RigidMotion
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.scene_checks import (
     Limit,
@@ -49,7 +49,7 @@ from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, FrictionCones, p
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.blas import one_thread
+from dolfinx_tresca.stiffness.choice import one_thread
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Row, Units
 

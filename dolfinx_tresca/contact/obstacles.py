@@ -19,9 +19,8 @@ from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.floating.equilibrium import FreeMotion
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Preload
-from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidObstacle
+from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
 
 #: A cut is flat if 1 minus the cosine of the angle between any normal and their mean is at most
 #: this number (a tenth of a degree is 1.5e-6).
@@ -47,7 +46,7 @@ class Obstacles:
         self._V, self._pairs = V, pairs
         self._obstacles = [pair.obstacle for pair in pairs]
         self._at_pairing: list[Array] = []
-        self._of_bodies = np.tile(RigidMotion.none().matrix, (len(pairs), 1, 1))
+        self._of_bodies = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
         largest = np.abs(V.mesh.geometry.x).max(initial=0.0)
         self.extent = float(reduce_array(V.mesh.comm, largest, MPI.MAX))
 

@@ -31,7 +31,7 @@ from dolfinx_tresca.derivatives.change_of_data import (
 from dolfinx_tresca.derivatives.goals import WeightedGoals, weights_of
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.scene.pair import Goal
 from dolfinx_tresca.solution.fields import Surface
 
 

@@ -36,8 +36,7 @@ from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
+from dolfinx_tresca.scene.pair import ContactPair, Goal, checked_goal, checked_pairs
 from dolfinx_tresca.solution.fields import slip_from
 from dolfinx_tresca.solution.forces import Resultant, Supports
 from dolfinx_tresca.table import Row, Tabulated, Units
