@@ -8,8 +8,7 @@ from dolfinx_tresca.adapt.solve import (
     refinement_indicators,
     solve_adaptively,
 )
-from dolfinx_tresca.derivatives.goals import GoalError
-from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
+from dolfinx_tresca.derivatives.goals import ContactTangent, GoalError, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import (
     ContactError,

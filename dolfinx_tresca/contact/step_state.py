@@ -31,7 +31,7 @@ from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.solution.evaluation import Evaluation
-from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
+from dolfinx_tresca.solvers.feasible_set import CurveAtNodes
 from dolfinx_tresca.status import ContactStatus
 
 

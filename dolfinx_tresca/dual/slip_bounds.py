@@ -22,7 +22,7 @@ from dolfinx_tresca.scene.friction import (
     ScalarField,
     invalid,
 )
-from dolfinx_tresca.solvers.friction_cones import Curve
+from dolfinx_tresca.solvers.feasible_set import Curve
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import SavedState, StepSolution, write_state
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
-from dolfinx_tresca.derivatives.goals import value_of
-from dolfinx_tresca.derivatives.gradient_and_tangent import (
+from dolfinx_tresca.derivatives.goals import (
     ContactTangent,
     as_derivatives,
     checked_directions,
     gradient,
     tangent_of,
+    value_of,
 )
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
