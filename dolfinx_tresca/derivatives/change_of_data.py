@@ -38,8 +38,7 @@ from dolfinx_tresca.dual.moved import Carry, moved_jump
 from dolfinx_tresca.dual.nodal_values import DIFFERENCE, inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.goal import Goal, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.scene.pair import ContactPair, Goal, checked_goal
 from dolfinx_tresca.solvers.feasible_set import FrictionCones, pressed_values
 
 #: Input with respect to which derivatives are taken; users change its values in place.

@@ -39,7 +39,7 @@ from dolfinx_tresca.derivatives.linearised import ADJOINT_ACCURACY, LinearisedCo
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
-from dolfinx_tresca.scene.goal import (
+from dolfinx_tresca.scene.pair import (
     ContactForce,
     Goal,
     MeanPressure,

@@ -29,7 +29,7 @@ from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
 from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.scene.pair import Goal
 from dolfinx_tresca.solvers.feasible_set import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).

@@ -19,8 +19,9 @@ from dolfinx_tresca.scene.friction import (
     DIRECTION_NAMES,
     Bound,
     Friction,
+    ScalarField,
+    invalid,
 )
-from dolfinx_tresca.scene.user_fields import ScalarField, invalid
 from dolfinx_tresca.solvers.feasible_set import Curve
 
 

@@ -27,7 +27,7 @@ from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.rigid_modes import NAMED_PART, RigidBodyModes
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
+from dolfinx_tresca.scene.obstacle import RigidMotion
 from dolfinx_tresca.solvers.constraints import (
     EqualityConstraints,
     Reductions,

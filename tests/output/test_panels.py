@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import Frictionless, RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
-from dolfinx_tresca.output.grid import Grid, gather_grid
-from dolfinx_tresca.output.panels import gather_contact
-from dolfinx_tresca.output.views import INVISIBLE, SAMPLES, draw_obstacle, magnification
+from dolfinx_tresca.output.files import Grid, gather_grid
+from dolfinx_tresca.output.panels import (
+    INVISIBLE,
+    SAMPLES,
+    draw_obstacle,
+    gather_contact,
+    magnification,
+)
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.rigid_obstacle import distance_from_ring
 
