@@ -52,8 +52,8 @@ def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) ->
     for coefficient in form.coefficients():
         if coefficient.function_space.mesh != mesh and not entity_maps:
             raise InputError(
-                f"the form {name} holds the Function '{coefficient.name}' on another mesh: take "
-                "solution.on_mesh(...), or give entity_maps=surface.entity_maps."
+                f"the form {name} holds the Function '{coefficient.name}' on another mesh than the "
+                "problem's: take solution.on_mesh(...), or entity_maps=surface.entity_maps."
             )
     for integral in form.integrals():
         tags = integral.subdomain_data()
