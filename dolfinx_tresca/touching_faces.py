@@ -21,7 +21,7 @@ from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array, warn
 from dolfinx_tresca.errors import MeshError, PairingError
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.pairing.search.self_contact import FINER
+from dolfinx_tresca.pairing.visibility import FINER
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import TaggedMesh, abridged_names
 from dolfinx_tresca.scene.pair import ContactPair

@@ -30,9 +30,9 @@ from dolfinx_tresca.floating.fixing import fixing_springs
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes, weakly_resisted_modes
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.report import ProblemSummary
-from dolfinx_tresca.pairing.group import groups_of
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
+from dolfinx_tresca.pairing.undeformed import groups_of
 from dolfinx_tresca.scene.friction import Bonded, Frictionless, Preload
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, check_tags

@@ -14,10 +14,9 @@ from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca._base.petsc import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
-from dolfinx_tresca.pairing.search.tagged import any_known_surface
+from dolfinx_tresca.pairing.undeformed import straightened
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.frames import BodyFrames
 
@@ -94,7 +93,7 @@ def _bent_primary(
         operators: N and T of the pair in the displaced configuration.
     """
     sides = operators.undeformed.sides.values()
-    if any_known_surface(*sides) or pair.obstacle is not None:
+    if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
         return straight
     if pair.touches_itself:  # the tags do not tell primary from secondary nodes
         numbers = np.unique(gather_rows(V.mesh.comm, np.unique(operators.primary.indices)))

@@ -19,10 +19,10 @@ from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.group import straightened
+from dolfinx_tresca.pairing.facets import FACING_COSINE, Facets
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
-from dolfinx_tresca.pairing.search.pieces import Pieces, near_lines
+from dolfinx_tresca.pairing.pieces import Pieces, near_lines
+from dolfinx_tresca.pairing.undeformed import straightened
 from dolfinx_tresca.scene.obstacle import RigidMotion, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.fields import SurfaceFields
