@@ -73,7 +73,10 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     def radii_of_bound(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
         ones = [np.ones(len(pair.nodes)) for pair in jump.pairs]
-        bounds = [NodalBounds(constant * unit, coefficient * unit, np.inf * unit) for unit in ones]
+        bounds = [
+            NodalBounds(constant * unit, coefficient * unit, np.inf * unit, np.ones((len(unit), 2)))
+            for unit in ones
+        ]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
     # derivatives of the radii of min(c + F p, l) by c, F and l
