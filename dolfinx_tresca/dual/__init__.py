@@ -29,5 +29,5 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 | D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
 
 Read first: `jump.JumpOperator.__init__`, `program.DualProgram`,
-`response.ElasticResponse.gradient`.
+`program.ElasticResponse.gradient`.
 """
