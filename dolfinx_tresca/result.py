@@ -91,7 +91,7 @@ class ContactSolution(Evaluation, Tabulated):
         total_dissipation: dissipation of all accepted steps and this one [energy].
         energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
             discrete problem: the error of the iteration in the energy norm, see
-            `dual/energy_bound.py`. Infinite if constraints are dependent.
+            `dual/accuracy.py`. Infinite if constraints are dependent.
         bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
             factored. If K is not factored, the bound includes an estimate of the error of iterative
             solves, from the smallest eigenvalue of the preconditioned K that conjugate gradients
@@ -104,7 +104,7 @@ class ContactSolution(Evaluation, Tabulated):
             on the pressure, else 0. All other errors are those of Tresca's problem with the present
             bounds.
         cell_errors: estimated discretisation error of each cell in the energy norm
-            [energy^(1/2)]; see `dual/mesh_error.py`. None if an `rtol`, or a number as
+            [energy^(1/2)]; see `dual/accuracy.py`. None if an `rtol`, or a number as
             `accuracy`, was requested. Mixed spaces and matrices always need such a request.
         discretisation_error: root of the sum of squared `cell_errors`, divided by |u|_K; None
             without `cell_errors`.

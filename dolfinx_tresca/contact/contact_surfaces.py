@@ -20,14 +20,16 @@ from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unus
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import moved_jump
-from dolfinx_tresca.dual.products.compliance import ContactCompliance
-from dolfinx_tresca.dual.response import InitialGuess
+from dolfinx_tresca.dual.load_steps import SlipHistory, moved_jump
+from dolfinx_tresca.dual.products import ContactCompliance
+from dolfinx_tresca.dual.program import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
-from dolfinx_tresca.floating.fixing import fixing_springs
-from dolfinx_tresca.floating.rigid_modes import RigidBodyModes, weakly_resisted_modes
+from dolfinx_tresca.floating.rigid_modes import (
+    RigidBodyModes,
+    fixing_springs,
+    weakly_resisted_modes,
+)
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.report import ProblemSummary
 from dolfinx_tresca.pairing.operators import PairOperators

@@ -122,8 +122,8 @@ class ContactSystem(ContactSurfaces):
         result = self.added_gaps()
         for bounds in self.slip_bounds():
             result += [bounds.constant, bounds.coefficient, bounds.limit]
-            if bounds.ellipses is not None:
-                result += [bounds.ellipses.shape, bounds.ellipses.direction]
+            if bounds.direction is not None:
+                result += [bounds.shape, bounds.direction]
         with errors_on_all_ranks(self.comm):
             return result + [pressed_values(*curve) for curve in curves]
 

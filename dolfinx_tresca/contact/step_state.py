@@ -25,9 +25,8 @@ from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import Carry
+from dolfinx_tresca.dual.load_steps import Carry, SlipHistory
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.solution.evaluation import Evaluation

@@ -34,7 +34,7 @@ from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import Carry, moved_jump
+from dolfinx_tresca.dual.load_steps import Carry, moved_jump
 from dolfinx_tresca.dual.nodal_values import DIFFERENCE, inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
@@ -73,7 +73,10 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     def radii_of_bound(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
         ones = [np.ones(len(pair.nodes)) for pair in jump.pairs]
-        bounds = [NodalBounds(constant * unit, coefficient * unit, np.inf * unit) for unit in ones]
+        bounds = [
+            NodalBounds(constant * unit, coefficient * unit, np.inf * unit, np.ones((len(unit), 2)))
+            for unit in ones
+        ]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
     # derivatives of the radii of min(c + F p, l) by c, F and l

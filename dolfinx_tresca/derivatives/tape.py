@@ -26,8 +26,8 @@ from dolfinx_tresca.derivatives.goals import (
     gradient,
 )
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
+from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.scene.pair import Goal
 from dolfinx_tresca.solvers.feasible_set import CurveAtNodes

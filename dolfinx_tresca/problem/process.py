@@ -31,7 +31,7 @@ from dolfinx_tresca.derivatives.goals import (
 )
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
-from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pairing.contact_operators import ContactOperators

@@ -16,9 +16,9 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca.dual.mesh_error import total
+from dolfinx_tresca.dual.accuracy import total
+from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields
 from dolfinx_tresca.solution.forces import (
     Resultant,
