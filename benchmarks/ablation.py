@@ -59,10 +59,8 @@ from dolfinx_tresca.solvers import (
     semismooth_newton,
 )
 from dolfinx_tresca.solvers.constraints import Balance, balance
-from dolfinx_tresca.solvers.convergence import NaturalResidual
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.problem import DualProblem, Point
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones
+from dolfinx_tresca.solvers.problem import DualProblem, NaturalResidual, Point
 from scenes import dense
 from scenes.elasticity import elasticity
 from scenes.random_blocks import RandomBlocks
@@ -375,8 +373,8 @@ CONSTANTS = {
     "_base.arrays": "ROUNDING",
     "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
     "solvers.iteration": "MISSES",
-    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT",
-    "solvers.linear_algebra": "LEAST_SOFTNESS",
+    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT "
+    "LEAST_SOFTNESS",
     "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
     "dual.products.compliance": "FEW",
     "dual.products.operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",

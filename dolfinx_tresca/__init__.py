@@ -8,8 +8,7 @@ from dolfinx_tresca.adapt.solve import (
     refinement_indicators,
     solve_adaptively,
 )
-from dolfinx_tresca.derivatives.goals import GoalError
-from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
+from dolfinx_tresca.derivatives.goals import ContactTangent, GoalError, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import (
     ContactError,
@@ -38,16 +37,16 @@ from dolfinx_tresca.scene.friction import (
     Preload,
     Tresca,
 )
-from dolfinx_tresca.scene.goal import (
+from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
+from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
+from dolfinx_tresca.scene.pair import (
     ContactForce,
+    ContactPair,
     MeanPressure,
     MeanSlip,
     NormalForce,
     PressureNorm,
 )
-from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
-from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus

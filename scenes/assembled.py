@@ -20,7 +20,7 @@ from dolfinx_tresca.dual.response import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.stiffness.choice import cholesky, multigrid
+from dolfinx_tresca.stiffness.solver import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
 

@@ -39,8 +39,8 @@ from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError, InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.scene.pair import Goal, checked_goal
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 from dolfinx_tresca.table import Row, Tabulated
 

@@ -11,8 +11,7 @@ from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator, nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.stiffness.choice import cholesky
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, cholesky
 
 
 class Lift:

@@ -25,8 +25,7 @@ from dolfinx_tresca.pairing.operators import (
     assemble_B,
     joined,
 )
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones, NodalCurves
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones, NodalCurves
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
 

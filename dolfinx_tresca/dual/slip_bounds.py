@@ -19,9 +19,10 @@ from dolfinx_tresca.scene.friction import (
     DIRECTION_NAMES,
     Bound,
     Friction,
+    ScalarField,
+    invalid,
 )
-from dolfinx_tresca.scene.user_fields import ScalarField, invalid
-from dolfinx_tresca.solvers.friction_cones import Curve
+from dolfinx_tresca.solvers.feasible_set import Curve
 
 
 @dataclass(frozen=True)

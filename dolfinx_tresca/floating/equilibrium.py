@@ -27,10 +27,15 @@ from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.rigid_modes import NAMED_PART, RigidBodyModes
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
-from dolfinx_tresca.solvers.constraints import EqualityConstraints, balance
+from dolfinx_tresca.scene.obstacle import RigidMotion
+from dolfinx_tresca.solvers.constraints import (
+    EqualityConstraints,
+    Reductions,
+    balance,
+    eigenpairs,
+    is_positive_definite,
+)
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.linear_algebra import Reductions, eigenpairs, is_positive_definite
 from dolfinx_tresca.solvers.problem import FrictionDeficit
 
 #: Contact must also balance the given loads increased by this fraction: exactly at the limit of

@@ -16,7 +16,7 @@ from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product, sparse_matrix
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
-from dolfinx_tresca.solvers.linear_algebra import eigenpairs
+from dolfinx_tresca.solvers.constraints import eigenpairs
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 #: Mean number of a body's nodes on which springs act. (Too few nodes to hold a body are drawn once

@@ -14,7 +14,7 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product
-from dolfinx_tresca.solvers.linear_algebra import eigenpairs
+from dolfinx_tresca.solvers.constraints import eigenpairs
 from dolfinx_tresca.stiffness.solver import not_positive_definite
 
 #: An error message mentions translations and rotations whose share in a motion exceeds this number,

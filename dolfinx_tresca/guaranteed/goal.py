@@ -18,7 +18,7 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.guaranteed.bound import Bodies, Candidate
 from dolfinx_tresca.guaranteed.mesh_cells import require
-from dolfinx_tresca.scene.goal import ContactForce, NormalForce, checked_goal
+from dolfinx_tresca.scene.pair import ContactForce, NormalForce, checked_goal
 
 #: Factor by which the size of the change of the load is varied as long as the interval shrinks, and
 #: largest power of it.

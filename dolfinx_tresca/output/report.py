@@ -28,7 +28,7 @@ from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, PairState
 from dolfinx_tresca.solution.forces import BoltForce
-from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
+from dolfinx_tresca.stiffness.choice import BLAS, loaded_libraries, reference_blas
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Quantity, Row, Units, abridged, as_html, as_text, with_unit
 

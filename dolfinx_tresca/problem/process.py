@@ -19,16 +19,15 @@ from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.state_file import SavedState, write_state
-from dolfinx_tresca.contact.step_state import StepSolution
+from dolfinx_tresca.contact.step_state import SavedState, StepSolution, write_state
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
-from dolfinx_tresca.derivatives.goals import value_of
-from dolfinx_tresca.derivatives.gradient_and_tangent import (
+from dolfinx_tresca.derivatives.goals import (
     ContactTangent,
     as_derivatives,
     checked_directions,
     gradient,
     tangent_of,
+    value_of,
 )
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
@@ -37,8 +36,7 @@ from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
+from dolfinx_tresca.scene.pair import ContactPair, Goal, checked_goal, checked_pairs
 from dolfinx_tresca.solution.fields import slip_from
 from dolfinx_tresca.solution.forces import Resultant, Supports
 from dolfinx_tresca.table import Row, Tabulated, Units
@@ -136,7 +134,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return [*self._contact.rows(self.units), ("method", method)]
 
     def __repr__(self) -> str:
-        summary, method = self._contact.summary, self._contact.stiffness.method
+        summary, method = self._contact.summary, self._contact.method
         return (
             f"<{type(self).__name__}: {summary.dofs} displacements, {summary.contact_nodes} "
             f"contact nodes in {len(self.pairs)} pair(s), {method}>"
@@ -180,8 +178,9 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             contact = self._contact
-            contact.advance_material(contact.state.acceptable(unconverged))
-            contact.state = contact.state.after_solution(unconverged)
+            solution = contact.state.acceptable(unconverged)
+            contact.advance_material(solution)
+            contact.state = contact.state.after_solution(solution)
             contact.obstacles.place(contact.state.accepted.motions, only_held_by_forces=True)
 
     @collective(comm_of_self, extra_values=problem_to_agree)
@@ -306,15 +305,15 @@ class ContactProcess(PetscOwner, Tabulated):
         saved = SavedState(Path(self.comm.bcast(str(path))), contact.state, material)
         former, motions = contact.state, contact.obstacles.motions
         try:
-            contact.obstacles.motions = saved.motions
+            contact.obstacles.place(saved.motions)
             contact.pair_where_changed(saved.configuration, saved.geometry)
             contact.state = saved.state(contact.state)
         except ContactError:
-            contact.obstacles.motions = motions
+            contact.obstacles.place(motions)
             contact.return_to(former)
             raise
-        for function, values in zip(material, saved.material, strict=True):
-            function.x.array[:] = values
+        for function, read in zip(material, saved.material, strict=True):
+            function.x.array[:] = read.x.array
         return saved.step
 
     def _check_material(self, material: Sequence[fem.Function]) -> None:
@@ -389,8 +388,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
-        data = self._data_of_solution()
-        data.check_controls(controls)
+        data = self._data_of_solution(controls)
         goals = [(1.0, data.checked_goal(goal))]
         return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
 
@@ -421,13 +419,12 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, nothing holds a body against the change
                 of its loads.
         """
-        data = self._data_of_solution()
-        data.check_controls(controls)
+        data = self._data_of_solution(controls)
         directions = checked_directions(controls, directions)
         return tangent_of(data, self._contact.secondary, controls, directions)
 
-    def _data_of_solution(self) -> DataOfSolution:
-        """Return the data of the last solution, to differentiate them. Collective.
+    def _data_of_solution(self, controls: Sequence[Any]) -> DataOfSolution:
+        """Return the data of the last solution, to differentiate them by controls. Collective.
 
         The number of nodes at the edge of their state is logged.
 
@@ -443,6 +440,7 @@ class ContactProcess(PetscOwner, Tabulated):
         solution.log_edge()
         data = DataOfSolution(self._contact, self._residual_at(u), u)
         data.linearise(solution)
+        data.check_controls(controls)
         return data
 
     @collective(comm_of_self)

@@ -26,9 +26,8 @@ from dolfinx_tresca.solution.forces import (
     resultants_between,
     resultants_on,
 )
-from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.problem import DualSolution, Point
+from dolfinx_tresca.solvers.problem import DualSolution, Point, energy_norm, relative_error
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,10 @@ from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
 from dolfinx_tresca.pairing.search.pieces import Pieces, near_lines
-from dolfinx_tresca.scene.obstacle import RigidPlane
+from dolfinx_tresca.scene.obstacle import RigidMotion, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.fields import SurfaceFields
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.feasible_set import FrictionCones
 
 
 class Limit(NamedTuple):

@@ -12,8 +12,7 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import StiffnessError
-from dolfinx_tresca.stiffness.choice import cholesky
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, cholesky
 
 #: Number of layers of cells around the contact whose nodes may move. `LAYERS` is for a direct
 #: solver for K. `LAYERS_BEFORE_COARSE` is for multigrid, whose coarse level represents the rest of

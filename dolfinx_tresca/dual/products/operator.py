@@ -18,8 +18,7 @@ from dolfinx_tresca._base.petsc import dense_matrix, sparse_matrix
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.solvers.products import WholeModel
-from dolfinx_tresca.stiffness.choice import SPARE_WORKSPACE
-from dolfinx_tresca.stiffness.solver import StiffnessSolver
+from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver
 
 
 class DualOperator:
