@@ -15,7 +15,6 @@ import zlib
 from base64 import b64encode
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
-from dataclasses import field as dataclass_field
 from importlib import import_module
 from numbers import Real
 from pathlib import Path
@@ -91,7 +90,7 @@ class Grid:
     cells: npt.NDArray[np.int64]
     cell_types: npt.NDArray[np.int64]
     values: dict[str, npt.NDArray[Any]]
-    cell_values: dict[str, npt.NDArray[Any]] = dataclass_field(default_factory=dict)
+    cell_values: dict[str, npt.NDArray[Any]]
 
     def to_pyvista(self) -> Any:
         """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
@@ -258,13 +257,12 @@ def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
     degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
     results = []
     for function in functions:
-        if function.function_space.ufl_element().degree in (0, degree):
-            results.append(function)
-            continue
-        W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
-        result = fem.Function(W, name=function.name)
-        result.interpolate(function)
-        result.x.scatter_forward()
+        result = function
+        if function.function_space.ufl_element().degree not in (0, degree):
+            W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
+            result = fem.Function(W, name=function.name)
+            result.interpolate(function)
+            result.x.scatter_forward()
         results.append(result)
     return results
 

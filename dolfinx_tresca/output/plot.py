@@ -110,10 +110,9 @@ def plot(
         optional("pyvista")
         style = optional("matplotlib.style")
         picture = io.BytesIO()
-        kind = suffix[1:]
         with style.context(STYLE), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
-            figure.savefig(picture, format=kind, dpi=panels.DPI)
+            figure.savefig(picture, format=suffix[1:], dpi=panels.DPI)
         if name is None:
             import PIL.Image
 

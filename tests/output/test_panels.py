@@ -95,5 +95,5 @@ def test_displacements_become_visible(largest: float, wanted: float) -> None:
     """Bodies of length 3.7 move by at most a tenth of it, by a round magnification."""
     points = np.array([(0.0, 0.0, 0.0), (3.7, 0.0, 0.0)])
     u = np.array([(0.0, 0.0, 0.0), (largest, 0.0, 0.0)])
-    bar = Grid(2, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u})
+    bar = Grid(2, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u}, {})
     assert magnification(bar, []) == pytest.approx(wanted)
