@@ -151,11 +151,13 @@ class TangentSystem(LinearSystem):
         """
         with errors_on_all_ranks(self.comm):
             fields = [field for field in self._functions if not np.isfinite(field.x.array).all()]
-            names = f"values that are NaN or infinite in {', '.join(map(shown, fields))}"
+            names = ", ".join(map(shown, fields))
             if fields and self.has_material:
-                raise StiffnessError(f"before_assembly() leaves {names}.")
+                raise StiffnessError(
+                    f"before_assembly() leaves values that are NaN or infinite in {names}."
+                )
             if fields:
-                raise InputError(f"F or J depends on {names}.")
+                raise InputError(f"F or J depends on values that are NaN or infinite in {names}.")
 
     def forget_material(self) -> None:
         """Let material and forces be computed again, even at the same u. Not collective."""
