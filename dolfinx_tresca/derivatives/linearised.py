@@ -64,18 +64,6 @@ RESIDUAL_ROUNDING = 1e-10
 STEP_ACCURACY = 0.05
 
 
-NO_ADJOINT = (
-    "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
-    "slipping) nothing, or hardly anything, holds a body against the motion that the number "
-    "depends on. Ask for another number, or refine for the energy error."
-)
-NO_TANGENT = (
-    "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
-    "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
-    "cause. Take another direction, or the difference of two solutions."
-)
-
-
 @dataclass(frozen=True)
 class LinearisedContact:
     """A solution with the problem that it solves, and the contact states that derivatives keep.
@@ -273,8 +261,20 @@ class LinearisedContact:
         largest = size if transpose else size + norm(dual, y)
         # relative to the size of the data: derivatives of the goal, or changes of the load
         is_balanced = size == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
+        if not (is_solved and is_balanced) and transpose:
+            raise ConvergenceError(
+                "the number has no adjoint: with the contact state of each node fixed (open, "
+                "sticking, slipping) nothing, or hardly anything, holds a body against the motion "
+                "that the number depends on. Ask for another number, or refine for the energy "
+                "error."
+            )
         if not (is_solved and is_balanced):
-            raise ConvergenceError(NO_ADJOINT if transpose else NO_TANGENT)
+            raise ConvergenceError(
+                "the solution has no tangent: with the contact state of each node fixed (open, "
+                "sticking, slipping) nothing, or hardly anything, holds a body against the motion "
+                "that the controls cause. Take another direction, or the difference of two "
+                "solutions."
+            )
         # a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
