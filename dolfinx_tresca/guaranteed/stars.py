@@ -11,8 +11,13 @@ from scipy.sparse import bsr_array, csr_array
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange
-from dolfinx_tresca.guaranteed.cells import Simplices, mean_products, opposite, rigid_motions
-from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells
+from dolfinx_tresca.guaranteed.cells import (
+    OwnedCells,
+    Simplices,
+    mean_products,
+    opposite,
+    rigid_motions,
+)
 
 #: Stiffness, relative to that of a cell, that is added so that no star is loose. Equations of stars
 #: are solved up to this number.
