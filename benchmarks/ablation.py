@@ -51,18 +51,16 @@ from dolfinx_tresca import (
     Tresca,
     solve_adaptively,
 )
-from dolfinx_tresca.dual.products import compliance
-from dolfinx_tresca.dual.response import ElasticResponse
+from dolfinx_tresca.dual import products as dual_products
+from dolfinx_tresca.dual.program import ElasticResponse
 from dolfinx_tresca.solvers import (
     iteration,
     products,
     semismooth_newton,
 )
 from dolfinx_tresca.solvers.constraints import Balance, balance
-from dolfinx_tresca.solvers.convergence import NaturalResidual
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.problem import DualProblem, Point
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones
+from dolfinx_tresca.solvers.problem import DualProblem, NaturalResidual, Point
 from scenes import dense
 from scenes.elasticity import elasticity
 from scenes.random_blocks import RandomBlocks
@@ -263,7 +261,7 @@ def large(scene: Callable[[Solves], None]) -> Callable[[Solves], None]:
     """Return a scene in which A is not computed at once, as for surfaces with more rows."""
 
     def solve(solves: Solves) -> None:
-        with patch.object(compliance, "FEW", 0):
+        with patch.object(dual_products, "FEW", 0):
             scene(solves)
 
     return solve
@@ -339,7 +337,7 @@ PARTS: dict[str, Patches] = {
     "near field": [(STORE, "__init__", without_near_field)],
     "iteration on the near model": [(iteration, "solve_model", without_near_iteration)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
-    "A at once where it has few rows": [(compliance, "FEW", 0)],
+    "A at once where it has few rows": [(dual_products, "FEW", 0)],
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
     "shift of A": [(products, "SHIFT", 0.0)],
@@ -375,13 +373,11 @@ CONSTANTS = {
     "_base.arrays": "ROUNDING",
     "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
     "solvers.iteration": "MISSES",
-    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT",
-    "solvers.linear_algebra": "LEAST_SOFTNESS",
+    "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT "
+    "LEAST_SOFTNESS",
     "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
-    "dual.products.compliance": "FEW",
-    "dual.products.operator": "LARGEST_DENSE LARGEST_DENSE_ITERATIVE",
-    "dual.products.near_field": "LAYERS LAYERS_BEFORE_COARSE",
-    "dual.response": "LOAD_ACCURACY",
+    "dual.products": "FEW LARGEST_DENSE LARGEST_DENSE_ITERATIVE LAYERS LAYERS_BEFORE_COARSE",
+    "dual.program": "LOAD_ACCURACY",
 }
 NEAR_ONE = {
     "PROGRESS", "SLACK",

@@ -36,7 +36,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactSolution
-from dolfinx_tresca.stiffness.choice import cholesky, multigrid
+from dolfinx_tresca.stiffness.solver import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
 from scenes.two_bricks import two_bricks

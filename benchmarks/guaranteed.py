@@ -20,7 +20,7 @@ import numpy as np
 from harness import Benchmark, Column, Comm, Row, Table
 from harness.figure import new_figure, save
 
-from dolfinx_tresca.dual.mesh_error import DiscretisationError, total
+from dolfinx_tresca.dual.accuracy import DiscretisationError, total
 from scenes.known_contact import block_on_plane
 from scenes.manufactured import blocks_scene, norm
 from scenes.scene import Scene

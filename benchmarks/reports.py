@@ -51,7 +51,7 @@ from dolfinx_tresca import (
     NonlinearContactProblem,
     NonlinearContactSolution,
 )
-from dolfinx_tresca.dual.mesh_error import DiscretisationError
+from dolfinx_tresca.dual.accuracy import DiscretisationError
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 from scenes.arch import arch
 from scenes.bent_sheet import STROKE, plastic_sheet

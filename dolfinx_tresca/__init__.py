@@ -8,8 +8,7 @@ from dolfinx_tresca.adapt.solve import (
     refinement_indicators,
     solve_adaptively,
 )
-from dolfinx_tresca.derivatives.goals import GoalError
-from dolfinx_tresca.derivatives.gradient_and_tangent import ContactTangent, SurfaceTangent
+from dolfinx_tresca.derivatives.goals import ContactTangent, GoalError, SurfaceTangent
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import (
     ContactError,
@@ -24,7 +23,7 @@ from dolfinx_tresca.errors import (
 from dolfinx_tresca.guaranteed.bound import GuaranteedError, GuaranteedGoal
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output.io import SolutionWriter
+from dolfinx_tresca.output.files import SolutionWriter
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.newton import NewtonOptions, NewtonRecord, NewtonStep
@@ -37,21 +36,21 @@ from dolfinx_tresca.scene.friction import (
     Preload,
     Tresca,
 )
-from dolfinx_tresca.scene.goal import (
+from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
+from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
+from dolfinx_tresca.scene.pair import (
     ContactForce,
+    ContactPair,
     MeanPressure,
     MeanSlip,
     NormalForce,
     PressureNorm,
 )
-from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
-from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
-from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import NodeCounts
 from dolfinx_tresca.solution.fields import ContactState, SurfaceFields
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
+from dolfinx_tresca.table import Units
 from dolfinx_tresca.touching_faces import Contacts, contacts
-from dolfinx_tresca.units import Units
 
 __all__ = [
     "MESHES",

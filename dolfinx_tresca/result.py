@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from dolfinx import fem
 
+from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
@@ -23,16 +24,14 @@ from dolfinx_tresca.errors import (
     shown,
 )
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.output import io, plot
-from dolfinx_tresca.output.grid import Field
-from dolfinx_tresca.output.report import page
-from dolfinx_tresca.output.summary import contact_rows, error_rows
+from dolfinx_tresca.output import plot
+from dolfinx_tresca.output.files import Field, SolutionWriter, grids_of, optional
+from dolfinx_tresca.output.report import contact_rows, error_rows, page
 from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.fields import SurfaceFields
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.table import LISTED_ROWS, Row, Tabulated
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import LISTED_ROWS, Row, Tabulated, Units
 
 #: What helps where an iteration has ended with a status.
 ADVICE = {
@@ -92,7 +91,7 @@ class ContactSolution(Evaluation, Tabulated):
         total_dissipation: dissipation of all accepted steps and this one [energy].
         energy_error_bound: bound of |u - u*|_K / |u|_K, where u* is the exact solution of the
             discrete problem: the error of the iteration in the energy norm, see
-            `dual/energy_bound.py`. Infinite if constraints are dependent.
+            `dual/accuracy.py`. Infinite if constraints are dependent.
         bound_is_rigorous: whether `energy_error_bound` is proven up to rounding: True if K is
             factored. If K is not factored, the bound includes an estimate of the error of iterative
             solves, from the smallest eigenvalue of the preconditioned K that conjugate gradients
@@ -105,7 +104,7 @@ class ContactSolution(Evaluation, Tabulated):
             on the pressure, else 0. All other errors are those of Tresca's problem with the present
             bounds.
         cell_errors: estimated discretisation error of each cell in the energy norm
-            [energy^(1/2)]; see `dual/mesh_error.py`. None if an `rtol`, or a number as
+            [energy^(1/2)]; see `dual/accuracy.py`. None if an `rtol`, or a number as
             `accuracy`, was requested. Mixed spaces and matrices always need such a request.
         discretisation_error: root of the sum of squared `cell_errors`, divided by |u|_K; None
             without `cell_errors`.
@@ -323,13 +322,56 @@ class ContactSolution(Evaluation, Tabulated):
         """
         return str(self)
 
+    @collective(comm_of_self, ignored=("path",))
     def write(self, path: str | Path, *, fields: Sequence[Field] = ()) -> None:
-        """Write the fields for ParaView; see `dolfinx_tresca.output.io.write`. Collective."""
-        io.write(path, self, fields=fields)
+        """Write displacement and contact fields for ParaView, as a `.pvd`. Collective.
 
+        There is a block "volume" and, for the secondary surface of the pair, a block "contact";
+        with several pairs, there are blocks named after the pairs, such as "upper_on_lower". The
+        parent folder is created. Beside the file is a folder with the blocks as `.vtu`, which the
+        first rank writes. The folder also has the names and colours of the states for ParaView
+        (`state.json`). For several solutions see `SolutionWriter`.
+
+        Displacements of degree 2 and curved meshes are kept; contact fields are of degree 1.
+        Vectors of 2D get a third component 0, as ParaView requires. Without friction there are no
+        fields "traction" and "slip". With load steps there are "slip_increment" and "slip_path" as
+        well, from the second step on.
+
+        Beside the displacement the volume has `body`, the number of each cell's body, counted from
+        1 as in messages; `cell_errors`, if they were estimated; and the requested fields.
+
+        Args:
+            path: the file; the first rank's path counts.
+            fields: further fields of the volume, under their names: Lagrange Functions, or
+                Functions of degree 0, on the mesh of the displacement, such as a von Mises stress;
+                and `MeshTags` of its cells, such as materials, with 0 in cells without a tag.
+
+        Raises:
+            InputError: the suffix is unknown, a field is of another kind or has a name that is
+                taken, or the file cannot be written.
+        """
+        SolutionWriter(self.comm.bcast(str(path))).write(self, 0.0, fields=fields)
+
+    @collective(comm_of_self)
     def to_pyvista(self, *, fields: Sequence[Field] = ()) -> Any:
-        """Return the blocks for pyvista; see `dolfinx_tresca.output.io.to_pyvista`. Collective."""
-        return io.to_pyvista(self, fields=fields)
+        """Return the blocks of `write` as a `pyvista.MultiBlock` on the first rank. Collective.
+
+        Args:
+            fields: see `write`.
+
+        Returns:
+            the whole model, gathered; None on other ranks.
+
+        Raises:
+            InputError: a field is of another kind or has a name that is taken.
+            ContactError: pyvista is missing.
+        """
+        grids = grids_of(self, fields)
+        with errors_on_all_ranks(self.comm):
+            if not grids:
+                return None
+            blocks = {name: grid.to_pyvista() for name, grid in grids.items()}
+            return optional("pyvista").MultiBlock(blocks)
 
     def plot(self, path: str | Path | None = None, *, scale: float | None = None) -> Any:
         """Save a picture, or return it; see `dolfinx_tresca.output.plot.plot`. Collective."""
@@ -352,9 +394,8 @@ class ContactSolution(Evaluation, Tabulated):
                 be written.
             ContactError: there is no pyvista or matplotlib.
         """
-        comm = self.u.function_space.mesh.comm
-        with errors_on_all_ranks(comm):
-            if comm.rank == 0 and Path(path).suffix != ".html":
+        with errors_on_all_ranks(self.comm):
+            if self.comm.rank == 0 and Path(path).suffix != ".html":
                 raise InputError(f"a report is an .html file, found '{path}'.")
             if not all(isinstance(step, ContactSolution) for step in steps):
                 raise InputError(f"steps must be a list of ContactSolution, found {shown(steps)}.")
@@ -362,8 +403,8 @@ class ContactSolution(Evaluation, Tabulated):
         drawn = np.sort(np.argsort(forces)[-LISTED_ROWS:])  # more views would take minutes
         surfaces = [self.surfaces[pair] for pair in drawn]
         picture = plot.plot(None, self.u, surfaces, units=self.units)
-        with errors_on_all_ranks(comm):
-            if comm.rank == 0:
+        with errors_on_all_ranks(self.comm):
+            if self.comm.rank == 0:
                 with atomic_write(Path(path)) as new:
                     new.write_text(page(self, steps, picture), encoding="utf-8")
 

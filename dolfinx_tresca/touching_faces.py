@@ -15,13 +15,13 @@ import dolfinx
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arguments import checked_number
+from dolfinx_tresca._base.arguments import check_type, checked_number
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array, warn
-from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown
+from dolfinx_tresca.errors import MeshError, PairingError
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.pairing.search.self_contact import FINER
+from dolfinx_tresca.pairing.visibility import FINER
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import TaggedMesh, abridged_names
 from dolfinx_tresca.scene.pair import ContactPair
@@ -117,15 +117,15 @@ def contacts(
         >>> contacts(bricks, friction=Coulomb(0.3))
         [<ContactPair: lower_contact on upper_contact, coefficient of friction 0.3>]
     """
-    if not isinstance(tagged, TaggedMesh):
-        raise InputError(f"tagged must be the result of read_gmsh, found {shown(tagged)}.")
+    check_type("tagged", tagged, TaggedMesh, "the result of read_gmsh")
     limit = None if distance is None else checked_number("distance", distance)
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
     faces = _faces(V, facet_tags)
-    tags_of_body: dict[int, list[int]] = {}
-    for tag, face in faces.items():
-        tags_of_body.setdefault(face.body, []).append(tag)
+    tags_of_body = {
+        body: [tag for tag, face in faces.items() if face.body == body]
+        for body in {face.body for face in faces.values()}
+    }
     sizes = {
         body: float(np.mean([faces[tag].size for tag in tags]))
         for body, tags in tags_of_body.items()
@@ -134,7 +134,6 @@ def contacts(
     measures: dict[tuple[int, int], TouchingFaces] = {}
     distances = {body: np.inf for body in sizes}  # of boxes of faces, to other bodies
     reach = 0.0
-    touching: set[int] = set()
     for tags in combinations(faces, 2):
         bodies, boxes = (faces[tags[0]].body, faces[tags[1]].body), [faces[tag].box for tag in tags]
         if bodies[0] == bodies[1]:
@@ -154,9 +153,9 @@ def contacts(
         if touch is not None:
             pairs.append(pair)
             measures[pair.secondary, pair.primary] = touch
-            touching.update(bodies)
     if len(sizes) == 1:
         raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
+    touching = {faces[tag].body for tags in measures for tag in tags}
     for body in sorted(sizes.keys() - touching):
         names = abridged_names(tags_of_body[body], facet_tags)
         error = MeshError(

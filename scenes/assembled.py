@@ -14,13 +14,12 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.products.compliance import ContactCompliance
-from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.dual.response import InitialGuess
+from dolfinx_tresca.dual.products import ContactCompliance
+from dolfinx_tresca.dual.program import DualProgram, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.stiffness.choice import cholesky, multigrid
+from dolfinx_tresca.stiffness.solver import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.scene import Scene
 

@@ -17,8 +17,7 @@ from dolfinx_tresca import Iteration, SolverOptions
 from dolfinx_tresca.floating.equilibrium import FloatingBodies
 from dolfinx_tresca.options import Method
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution, KnownProducts
 from dolfinx_tresca.solvers.products import ProductStore, WholeModel

@@ -22,7 +22,7 @@ from dolfinx_tresca import (
     Tresca,
 )
 from dolfinx_tresca.scene.friction import Friction
-from dolfinx_tresca.scene.goal import Goal
+from dolfinx_tresca.scene.pair import Goal
 from scenes.elasticity import by_body, elasticity, fixed, no_load
 from scenes.patches import (
     BOTTOM,

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import MESHES, ContactPair, ContactProblem, TaggedMesh, Tresca, read_gmsh
-from dolfinx_tresca.scene.user_fields import ScalarField
+from dolfinx_tresca.scene.friction import ScalarField
 from scenes.elasticity import by_body, elasticity, fixed
 from scenes.scene import Scene
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from types import SimpleNamespace
 
@@ -35,7 +34,6 @@ from dolfinx_tresca import (
     read_gmsh,
 )
 from dolfinx_tresca._base import compat
-from dolfinx_tresca.scene.mesh import NamedTags
 from scenes.elasticity import elasticity
 from scenes.nodal import nodal, node_function
 from scenes.patches import KINDS, dim_of, patch
@@ -174,7 +172,7 @@ REFUSED = {
         lambda s: forms_on(dolfinx.mesh.create_unit_square(s.mesh.comm, 3, 3), "Lagrange", 1, (2,)),
     ),
     "surface": (
-        r"dimension 2 in space of dimension 3.*gdim=2",
+        r"dimension 2 in space of dimension 3: gdim is 2 in 2D",
         lambda s: forms_on(surface_of(s), "Lagrange", 1, (3,)),
     ),
     "prisms": (
@@ -233,7 +231,7 @@ REFUSED = {
     "None as conditions": (SEQUENCE, lambda s: {"bcs": None}),
     "condition as conditions": (SEQUENCE, lambda s: {"bcs": s.bcs[0]}),
     "complex condition": (
-        r"bcs\[1\] must be of type float64, found .*DirichletBC_complex128",
+        r"bcs\[1\] must be a Dirichlet condition of type float64.*DirichletBC_complex128",
         lambda s: {"bcs": [s.bcs[0], complex_condition(s)]},
     ),
     "stiffness": ("auto, cholesky, multigrid, found 'lu'", lambda s: {"stiffness": "lu"}),
@@ -255,11 +253,11 @@ REFUSED = {
         lambda s: {"petsc_options": {3: 4}},
     ),
     "prefix": (
-        "petsc_options_prefix must be a string .*found 3",
+        "petsc_options_prefix must be a string, found 3",
         lambda s: {"petsc_options_prefix": 3},
     ),
     "hyphen": (
-        "without leading hyphen, found '-mine_'",
+        "no leading hyphen, found '-mine_'",
         lambda s: {"petsc_options_prefix": "-mine_"},
     ),
 }
@@ -300,7 +298,7 @@ def test_what_a_pair_refuses(scene):
             ({"facet_tags": tags}, r"facet_tags must be dolfinx\.mesh\.MeshTags .*, found")
             for tags in unknown_facet_tags(scene)
         ),
-        ({"facet_tags": floats}, "int32, found float64"),
+        ({"facet_tags": floats}, "of type int32, .*found .*MeshTags_float64"),
     ]
     for changes, message in wrong:
         with pytest.raises(InputError, match=message):
@@ -319,14 +317,12 @@ def test_what_a_slip_bound_refuses(scene):
 
     groups = {
         r"scalar, found shape \(3,\)": (*(fem.Constant(mesh, np.zeros(3)), vector, 2.0 * vector),),
-        r"scalar, found shape \(5,\)": (np.ones(5),),
-        r"scalar, found shape \(2,\)": ([0.1, 0.2],),
-        r"slip bound must be a number, .*points, found": ("0.1", None, 0.1j, float, fem.Function),
-        r"no value at nodes: .*continuous space": (
+        r"slip bound must be a number, .*points, found": (
+            *("0.1", None, 0.1j, float, fem.Function, np.ones(5), [0.1, 0.2]),
+        ),
+        r"no value at nodes, since .* is not continuous.*continuous space": (
             *(on(("DG", 0)), on(("DG", 1)), on(("CR", 1)), 2.0 * on(("DG", 0)) + 1.0),
             on(basix.ufl.quadrature_element(mesh.basix_cell(), degree=2)),
-        ),
-        r"no value at nodes, since .* jumps from cell": (
             *(p.dx(0), abs(ufl.FacetNormal(mesh)[0]), 0.1 * ufl.CellDiameter(mesh)),
         ),
         "must not depend on a trial or test function": (ufl.TrialFunction(scene.V)[2],),
@@ -344,7 +340,7 @@ def test_what_a_slip_bound_refuses(scene):
 @pytest.mark.parametrize(("value", "text"), [(-0.5, "-0.5"), (np.nan, "nan"), (-np.inf, "-inf")])
 def test_values_that_are_no_slip_bounds(scene, value, text, kind):
     """A number takes no solve to tell; what may change is told by the solve, and may be mended."""
-    with pytest.raises(InputError, match=f"must not be (negative|NaN), found {text}"):
+    with pytest.raises(InputError, match=f"must (not )?be .*, found {text}"):
         scene.problem(pairs=[pair_with(scene, friction=Tresca(value))])
     Q = fem.functionspace(scene.mesh, ("Lagrange", 1))
     constant, everywhere = fem.Constant(scene.mesh, value), fem.Function(Q)
@@ -529,15 +525,3 @@ def test_forms_of_another_type(scene, name):
         refused(scene, f"{name} must be a UFL form, .*V=, found", **{name: wrong})
     if name == "L":
         refused(scene, "L must be a UFL form, None for no load, or .* found 0", L=0)
-
-
-@pytest.mark.parallel
-def test_tags_of_bodies_on_another_mesh(comm):
-    """Tags of another mesh would name the wrong bodies: an error before assembly."""
-    scene, finer = (two_bricks(comm, n) for n in (2, 3))
-    facet_tags = NamedTags(scene.pair.facet_tags, {}, finer.pair.facet_tags.cell_tags)
-    pair = dataclasses.replace(scene.pair, facet_tags=facet_tags, name="the pair")
-    names = ", ".join(facet_tags.cell_tags.names.values())
-    message = rf"tags of cells of contact pair the pair \({names}\) belong to another mesh"
-    with pytest.raises(InputError, match=message):
-        ContactProblem(scene.a, scene.L, [pair], bcs=scene.bcs)

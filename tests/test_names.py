@@ -26,14 +26,11 @@ ROOMS = (
 
 #: (file, name) -> why the name stays.
 EXCEPTIONS = {
-    ("scene/rigid_motion.py", "other"): "what Python's documentation calls the operand of __eq__",
+    ("scene/obstacle.py", "other"): "what Python's documentation calls the operand of __eq__",
     ("result.py", "other"): "public: users may write resultants_between(body, other=...)",
     ("scene/obstacle.py", "at"): "public: RigidObstacle.at, which a demo calls",
-    (
-        "derivatives/gradient_and_tangent.py",
-        "of",
-    ): "public: ContactTangent.of, the change of a goal",
-    ("units.py", "of"): "public: Units.of, as in units.of('energy')",
+    ("derivatives/goals.py", "of"): "public: ContactTangent.of, the change of a goal",
+    ("table.py", "of"): "public: Units.of, as in units.of('energy')",
 }
 
 

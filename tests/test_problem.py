@@ -26,7 +26,7 @@ from dolfinx_tresca import (
     StiffnessError,
     Tresca,
 )
-from dolfinx_tresca.output.summary import significant
+from dolfinx_tresca.output.report import figures
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, bricks_problem, two_bricks
@@ -195,10 +195,10 @@ def test_no_load_gives_nothing(comm):
 
 
 def test_only_digits_that_hold_are_printed():
-    assert significant(13.4567, 3e-3) == "13.5"
-    assert significant(13.4567, 1e-5) == "13.457"
-    assert significant(-7.64564812e-05, 0.2) == "-8e-05"
-    assert significant(0.0, 0.0) == "0"
+    assert figures(13.4567, 3e-3) == "13.5"
+    assert figures(13.4567, 1e-5) == "13.457"
+    assert figures(-7.64564812e-05, 0.2) == "-8e-05"
+    assert figures(0.0, 0.0) == "0"
 
 
 @pytest.mark.parametrize(

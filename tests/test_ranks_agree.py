@@ -44,7 +44,6 @@ from dolfinx_tresca import (
     refinement_indicators,
     solve_adaptively,
 )
-from dolfinx_tresca.output.io import to_pyvista, write
 
 pytestmark = [
     pytest.mark.parallel,
@@ -381,8 +380,6 @@ CASES: dict[str, Case] = {
     "to_pyvista": (lambda s, x: s.solution.to_pyvista(fields=x), [3], [], "fields differs"),
     "series": (lambda s, x: s.writer.write(s.solution, 1.0, fields=x), [3], [], "fields differs"),
     # what has no communicator
-    "write, solution": (lambda s, x: write("a.pvd", x or s.solution), 3, None, "solution differs"),
-    "to_pyvista, solution": (lambda s, x: to_pyvista(x or s.solution), 3, None, "solution differs"),
     "series, solution": (
         lambda s, x: s.writer.write(x or s.solution, 1.0),
         3,

@@ -47,6 +47,16 @@ def cross(a: Array, b: Array) -> Array:
     return result
 
 
+def dots(a: Array, b: Array) -> Array:
+    """Return the scalar products (...) of vectors (..., k)."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def unit(vectors: Array) -> Array:
+    """Return unit vectors (..., k) along vectors (..., k)."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
 def in_space(vectors: Array) -> Array:
     """Return vectors (..., 2) or (..., 3) as vectors (..., 3), whose third component is 0 in 2D."""
     added = [(0, 0)] * (vectors.ndim - 1) + [(0, 3 - vectors.shape[-1])]

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import dolfinx.io
@@ -19,8 +17,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
-from dolfinx_tresca._base.arguments import checked_number
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arguments import check_type, checked_number
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes, warn
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.geometry import (
@@ -36,9 +34,6 @@ from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 #: solvers leave, hardly change the marked cells: the mesh of a symmetric scene stays symmetric, and
 #: is the same on any number of ranks. With a smaller number the gap is wider, and more are marked.
 NEARLY = 0.8
-
-#: Value of entities without a tag, which is no value of a tag.
-UNTAGGED = np.iinfo(np.int64).min
 
 
 @collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
@@ -99,114 +94,90 @@ def refine(
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
     marked = largest_part(comm, np.square(errors / largest), fraction)
-    return _distributed(tagged_mesh, BisectedCells.from_marked(mesh, marked))
+    return _distributed(tagged_mesh, bisected(mesh, marked))
 
 
-@dataclass(frozen=True)
-class BisectedCells:
-    """The cells into which bisection cuts this rank's cells of a mesh.
+class Bisection(NamedTuple):
+    """The cells into which bisection cuts the cells of a mesh, on the ranks of these.
 
-    Cells have the dimension d.
+    Cells have the dimension d. Their facets are in the order of the opposite corners.
 
     Attributes:
-        mesh: the mesh of the new cells, which are on the ranks of their parents.
-        parent: (n,) the cell of the old mesh that contains each new cell of this rank.
-        parent_facet: (n, d + 1) the facet of the parent, by its number there, in which each facet
-            of the cell lies; -1: the facet is inside of the parent.
-        nodes: (n, d + 1) nodes of `mesh` at the corners of each cell. The facets of a cell are in
-            the order of the opposite corners.
+        mesh: the mesh of the new cells.
+        nodes: (n, d + 1) nodes of `mesh` at the corners of each new cell.
+        parent: (n, 1) the cell of the old mesh that contains each new cell.
+        parent_facets: (n, d + 1) the facet of the old mesh in which each facet of the new cell
+            lies; -1: the facet is inside of an old cell.
     """
 
     mesh: Any
-    parent: npt.NDArray[np.int32]
-    parent_facet: npt.NDArray[np.int8]
     nodes: Indices
+    parent: LocalNumbers
+    parent_facets: LocalNumbers
 
-    @classmethod
-    def from_marked(cls, mesh: Any, marked: Mask) -> BisectedCells:
-        """Bisect all edges of marked cells, and further edges as needed. Collective.
+    def inherited(self, tags: Any) -> tuple[Indices, LocalNumbers]:
+        """Return nodes (m, k) and tags (m,) of the new cells, or facets, in tagged old ones.
 
-        DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based
-        on the skeleton): angles stay away from zero after any number of bisections. Among edges of
-        equal length, DOLFINx cuts the first one in the numbering of a rank, which depends on the
-        partition: the mesh is stretched meanwhile, in the same way for any partition.
-
-        Args:
-            mesh: mesh of simplices.
-            marked: (owned cells,) whether each cell is marked.
+        A facet between two cells occurs twice. Not collective.
         """
-        dim = mesh.topology.dim
-        mesh.topology.create_entities(1)
-        mesh.topology.create_connectivity(dim, 1)
-        mesh.topology.create_connectivity(1, dim)
-        cells = np.flatnonzero(marked).astype(np.int32)
-        option = dolfinx.mesh.RefinementOption.parent_cell_and_facet
-        # close to the identity; afterwards only parallel edges of a cell are equally long
-        stretch = np.eye(3) + 1e-6 * np.triu(np.exp(np.arange(9.0).reshape(3, 3) / np.pi))
-        x, stretch = mesh.geometry.x, stretch[:dim, :dim]
-        before = x.copy()
-        try:
-            x[:, :dim] = x[:, :dim] @ stretch
-            edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
-            fine, parent, parent_facet = dolfinx.mesh.refine(mesh, edges, None, option)
-        finally:
-            x[:] = before
-        fine.geometry.x[:, :dim] = np.linalg.solve(stretch.T, fine.geometry.x[:, :dim].T).T
-        # both have the order of the cells before DOLFINx renumbered them
-        count = len(parent)
-        order = np.asarray(fine.topology.original_cell_index)[:count]
-        order = order - sum(mesh.comm.allgather(count)[: mesh.comm.rank])
-        parent_facet = np.reshape(parent_facet, (count, dim + 1))[order]
-        nodes = compat.geometry_dofmap(fine)[:count].astype(np.intp)
-        return cls(fine, parent[order], parent_facet, nodes)
-
-    @property
-    def numbers(self) -> npt.NDArray[np.int64]:
-        """(nodes,) the numbers of this rank's nodes over all ranks. Not collective."""
-        count = np.arange(len(self.mesh.geometry.x), dtype=np.int32)
-        return np.asarray(self.mesh.geometry.index_map().local_to_global(count))
-
-    def volumes(self, points: Array) -> Array:
-        """Return the signed volumes (n,), times d!, for nodes at given points (nodes, 3)."""
-        sides = points[self.nodes[:, 1:]] - points[self.nodes[:, :1]]
-        return np.asarray(np.linalg.det(sides[:, :, : self.mesh.topology.dim]))
-
-    def inherited_facets(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int64]]:
-        """Return the nodes (m, d) and tags (m,) of the facets of the cells that inherit a tag.
-
-        A facet inside a tagged facet of the old `mesh` gets this tag. A facet between two cells
-        occurs twice. Not collective.
-        """
-        dim = mesh.topology.dim
-        mesh.topology.create_connectivity(dim, dim - 1)
-        facets_of_cells = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
-        within = self.parent_facet >= 0
-        facets = np.take_along_axis(
-            facets_of_cells[self.parent], np.where(within, self.parent_facet, 0), axis=1
-        )
-        tag = np.where(within, _tag_of_entities(mesh, tags)[facets], UNTAGGED)
-        cell, side = np.nonzero(tag != UNTAGGED)
-        corners = np.arange(dim + 1) != side[:, None]
-        return self.nodes[cell][corners].reshape(-1, dim), tag[cell, side]
-
-    def inherited_cells(self, mesh: Any, tags: Any) -> tuple[Indices, npt.NDArray[np.int64]]:
-        """Return nodes (m, d + 1) and tags (m,) of cells with tagged parents. Not collective."""
-        tag = _tag_of_entities(mesh, tags)[self.parent]
-        return self.nodes[tag != UNTAGGED], tag[tag != UNTAGGED]
+        corners: Mask
+        if tags.dim == self.mesh.topology.dim:
+            entities, corners = self.parent, np.ones((1, self.nodes.shape[1]), dtype=np.bool_)
+        else:
+            entities, corners = self.parent_facets, ~np.eye(self.nodes.shape[1], dtype=np.bool_)
+        index_map = tags.topology.index_map(tags.dim)
+        row = np.full(index_map.size_local + index_map.num_ghosts + 1, -1)  # the last one: no facet
+        row[tags.indices] = np.arange(len(tags.indices))
+        cell, side = np.nonzero(row[entities] >= 0)
+        values = tags.values[row[entities[cell, side]]]
+        return self.nodes[cell][corners[side]].reshape(-1, corners[0].sum()), values
 
 
-def _tag_of_entities(mesh: Any, tags: Any) -> npt.NDArray[np.int64]:
-    """Return the tag of each entity of this rank, or `UNTAGGED`. Not collective."""
-    index_map = mesh.topology.index_map(tags.dim)
-    result = np.full(index_map.size_local + index_map.num_ghosts, UNTAGGED)
-    result[tags.indices] = tags.values
-    return result
+def bisected(mesh: Any, marked: Mask) -> Bisection:
+    """Bisect all edges of marked cells, and further edges as needed. Collective.
+
+    DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based on
+    the skeleton): angles stay away from zero after any number of bisections. Among edges of equal
+    length, DOLFINx cuts the first one in the numbering of a rank, which depends on the partition:
+    the mesh is stretched meanwhile, in the same way for any partition.
+
+    Args:
+        mesh: mesh of simplices.
+        marked: (owned cells,) whether each cell is marked.
+    """
+    dim = mesh.topology.dim
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(dim, 1)
+    mesh.topology.create_connectivity(1, dim)
+    mesh.topology.create_connectivity(dim, dim - 1)
+    cells = np.flatnonzero(marked).astype(np.int32)
+    option = dolfinx.mesh.RefinementOption.parent_cell_and_facet
+    # close to the identity; afterwards only parallel edges of a cell are equally long
+    stretch = np.eye(3) + 1e-6 * np.triu(np.exp(np.arange(9.0).reshape(3, 3) / np.pi))
+    x, stretch = mesh.geometry.x, stretch[:dim, :dim]
+    before = x.copy()
+    try:
+        x[:, :dim] = x[:, :dim] @ stretch
+        edges = dolfinx.mesh.compute_incident_entities(mesh.topology, cells, dim, 1)
+        fine, parent, parent_facet = dolfinx.mesh.refine(mesh, edges, None, option)
+    finally:
+        x[:] = before
+    fine.geometry.x[:, :dim] = np.linalg.solve(stretch.T, fine.geometry.x[:, :dim].T).T
+    # both have the order of the cells before DOLFINx renumbered them
+    count = len(parent)
+    order = np.asarray(fine.topology.original_cell_index)[:count]
+    order = order - sum(mesh.comm.allgather(count)[: mesh.comm.rank])
+    parent, sides = parent[order, None], np.reshape(parent_facet, (count, dim + 1))[order]
+    facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+    parent_facets = np.where(sides >= 0, facets[parent, sides], -1)
+    nodes = compat.geometry_dofmap(fine)[:count].astype(np.intp)
+    return Bisection(fine, nodes, parent, parent_facets)
 
 
 def snapped(
-    cells: BisectedCells,
+    bisection: Bisection,
     facets: Indices,
-    tags: npt.NDArray[np.int64],
+    tags: LocalNumbers,
     surfaces: Mapping[int, ExactSurface],
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
@@ -215,7 +186,7 @@ def snapped(
     next refinement tries again, with smaller cells.
 
     Args:
-        cells: the cells.
+        bisection: the new cells.
         facets: (m, d) nodes of tagged facets.
         tags: (m,) tags of the facets.
         surfaces: tag -> the exact surface of the facets.
@@ -224,7 +195,7 @@ def snapped(
         InputError: a projection fails, or does not return one finite point for each node; or no
             facet has the tag of a projection.
     """
-    mesh = cells.mesh
+    mesh, cells = bisection.mesh, bisection.nodes
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
     start = surface = mesh.geometry.x.copy()
     for tag, exact in surfaces.items():
@@ -238,10 +209,14 @@ def snapped(
         sums = summed_at_nodes(index_map, nodes, values)
         surface = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), surface)
 
+    def volumes(points: Array) -> Array:
+        sides = points[cells[:, 1:]] - points[cells[:, :1]]
+        return np.asarray(np.linalg.det(sides[:, :, :dim]))
+
     held: Mask = np.zeros(len(start), dtype=np.bool_)
-    points, volumes = surface, cells.volumes(start)
+    points, before = surface, volumes(start)
     while True:
-        flat = cells.nodes[np.sign(volumes) * cells.volumes(points) < 0.1 * np.abs(volumes)]
+        flat = cells[np.sign(before) * volumes(points) < 0.1 * np.abs(before)]
         corners = summed_at_nodes(index_map, flat, np.ones((*flat.shape, 1)))[:, 0] > 0.0
         if reduce_array(comm, (corners & ~held).sum()) == 0:
             break
@@ -259,33 +234,34 @@ def snapped(
     return np.asarray(points)
 
 
-def _distributed(tagged_mesh: TaggedMesh, cells: BisectedCells) -> TaggedMesh:
+def _distributed(tagged_mesh: TaggedMesh, bisection: Bisection) -> TaggedMesh:
     """Return the mesh of bisected cells, with tags and on curved surfaces. Collective.
 
     Args:
         tagged_mesh: the mesh before.
-        cells: the bisected cells of this mesh.
+        bisection: the bisected cells of this mesh.
     """
     mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry
     comm, dim = mesh.comm, mesh.topology.dim
-    facets, facet_values = cells.inherited_facets(mesh, tagged_mesh.facet_tags)
+    facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
             surfaces = session.enter_context(open_geometry(geometry or {}))
-        points = snapped(cells, facets, facet_values, surfaces)
+        points = snapped(bisection, facets, facet_values, surfaces)
 
-    numbers, index_map = cells.numbers, cells.mesh.geometry.index_map()
+    index_map = bisection.mesh.geometry.index_map()
+    numbers = np.asarray(index_map.local_to_global(np.arange(len(points), dtype=np.int32)))
     fine = compat.create_mesh(
         comm,
-        numbers[cells.nodes],
+        numbers[bisection.nodes],
         points[: index_map.size_local, :dim],
         ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
         ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
     )
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:
-        cell_nodes, cell_values = cells.inherited_cells(mesh, cell_tags)
-        cell_tags = _with_names(fine, cell_tags, numbers[cell_nodes], cell_values)
+        cells, cell_values = bisection.inherited(cell_tags)
+        cell_tags = _with_names(fine, cell_tags, numbers[cells], cell_values)
     facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
     if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
         facet_tags.cell_tags = cell_tags
@@ -326,11 +302,8 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
         InputError: the argument is not a mesh with tags, the cells cannot be bisected, its geometry
             is none, or tags are of entities of another dimension.
     """
-    if not isinstance(tagged_mesh, TaggedMesh):
-        raise InputError(
-            "tagged_mesh must be a TaggedMesh, such as read_gmsh(...) or TaggedMesh(mesh, "
-            f"cell_tags, facet_tags, names), found {shown(tagged_mesh)}."
-        )
+    example = "read_gmsh(...) or TaggedMesh(mesh, cell_tags, facet_tags, names)"
+    check_type("tagged_mesh", tagged_mesh, TaggedMesh, f"a TaggedMesh, such as {example}")
     mesh = tagged_mesh.mesh
     dim, kind = mesh.topology.dim, mesh.topology.cell_name()
     if kind not in ("triangle", "tetrahedron") or mesh.geometry.dim != dim:
@@ -372,17 +345,13 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
         if V.element.basix_element.degree != 0 or V.dofmap.bs != 1:
             raise InputError(f"cell_errors must have one value in each cell, found {shown(V)}.")
         values: Array = cell_errors.x.array[V.dofmap.list[:count, 0]]
-    elif cell_errors is None:
-        raise InputError(
-            'cell_errors is None: solutions have it after solve() with accuracy="balanced", the '
-            "default."
-        )
     else:
         values = np.asarray(cell_errors)
     if values.shape != (count,) or values.dtype.kind not in "fiu":
         raise InputError(
-            f"cell_errors must be a function of degree 0, or real numbers of shape ({count},), one "
-            f"for each cell that this rank owns; found {values.dtype} of shape {values.shape}."
+            "cell_errors must be a function of degree 0, which solutions have after solve() with "
+            f'accuracy="balanced", the default; or real numbers of shape ({count},), one for each '
+            f"cell that this rank owns; found {values.dtype} of shape {values.shape}."
         )
     wrong = ~(np.isfinite(values) & (values >= 0.0))
     if wrong.any():
@@ -393,9 +362,7 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
     return values.astype(np.float64)
 
 
-def _with_names(
-    mesh: Any, old: Any, entities: npt.NDArray[np.int64], values: npt.NDArray[np.int64]
-) -> Any:
+def _with_names(mesh: Any, old: Any, entities: GlobalNumbers, values: LocalNumbers) -> Any:
     """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.
 
     Args:
@@ -407,9 +374,7 @@ def _with_names(
     """
     mesh.topology.create_connectivity(old.dim, 0)
     mesh.topology.create_connectivity(old.dim, mesh.topology.dim)
-    local, own_values = dolfinx.io.distribute_entity_data(
-        mesh, old.dim, entities, values.astype(np.int32)
-    )
+    local, own_values = dolfinx.io.distribute_entity_data(mesh, old.dim, entities, values)
     tags = dolfinx.mesh.meshtags_from_entities(
         mesh, old.dim, dolfinx.graph.adjacencylist(local), own_values
     )

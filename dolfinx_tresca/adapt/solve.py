@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from mpi4py import MPI
 
@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import call_on_all_ranks, collective, comm_of
-from dolfinx_tresca._base.arguments import checked_integer, checked_number
+from dolfinx_tresca._base.arguments import check_type, checked_integer, checked_number
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.functions import assembled
 from dolfinx_tresca._base.parallel import (
@@ -39,8 +39,8 @@ from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError, InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal, checked_goal
 from dolfinx_tresca.scene.mesh import TaggedMesh
+from dolfinx_tresca.scene.pair import Goal, checked_goal
 from dolfinx_tresca.status import AdaptiveStatus, ContactStatus
 from dolfinx_tresca.table import Row, Tabulated
 
@@ -161,6 +161,7 @@ def judged(
     problem: ContactProblem,
     solution: ContactSolution,
     goal: Goal | None,
+    start: float,
 ) -> Level:
     """Estimate the error of the mesh of a solution; this may solve again. Collective.
 
@@ -170,9 +171,10 @@ def judged(
         problem: the problem that was solved.
         solution: the last solution of the problem, solved to the default accuracy.
         goal: the number whose error counts; None: the energy error counts.
+        start: time at which the work on the mesh began, as of `time.perf_counter`.
 
     Returns:
-        the mesh with its solution, which is accurate enough for the goal; without seconds.
+        the mesh with its solution, which is accurate enough for the goal.
     """
     products, goal_error = solution.products, None
     if goal is not None and solution.status is ContactStatus.CONVERGED:
@@ -201,7 +203,7 @@ def judged(
         error=math.inf if error is None else error,
         cell_errors=cell_errors,
         products=products,
-        seconds=0.0,
+        seconds=_seconds(problem.comm, start),
         goal_error=goal_error,
     )
 
@@ -240,13 +242,11 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
         >>> np.array_equal(refinement_indicators(problem, errors).x.array, errors.x.array)
         True
     """
-    if not isinstance(problem, ContactProblem):
-        raise InputError(f"problem must be a ContactProblem, found {shown(problem)}.")
+    check_type("problem", problem, ContactProblem, "a ContactProblem")
     mesh, operators = problem.mesh, problem.operators
     with errors_on_all_ranks(problem.comm):
         checked_cell_errors(mesh, cell_errors)
-        if not isinstance(cell_errors, fem.Function):
-            raise InputError(f"cell_errors must be a function, found {shown(cell_errors)}.")
+        check_type("cell_errors", cell_errors, fem.Function, "a function")
     result = cell_errors.copy()
     nodes, cells = fem.functionspace(mesh, ("Lagrange", 1)), cell_errors.function_space
     node, cell = ufl.TestFunction(nodes), ufl.TestFunction(cells)
@@ -368,18 +368,27 @@ def solve_adaptively(
     most_dofs = checked_number("max_dofs", max_dofs, "(0, inf]")
     most_levels = checked_integer("max_levels", max_levels)
     checked_number("fraction", fraction, "(0, 1]")
-    if after is not None and not isinstance(after, ContactSolution):
-        raise InputError(
-            f"after must be a ContactSolution, found {shown(after)}: an AdaptiveSolution has one, "
-            "its attribute .solution."
-        )
+    if after is not None:
+        advice = " An AdaptiveSolution has one, its attribute .solution."
+        check_type("after", after, ContactSolution, "a ContactSolution", advice)
     observe = agreed_observer(comm, observer, "a Level, such as print")
     levels: list[Level] = []
     while True:
         start = time.perf_counter()
         problem = call_on_all_ranks(comm, "build", partial(build, tagged_mesh))
         with errors_on_all_ranks(comm):
-            _check_problem(problem, tagged_mesh)
+            if not isinstance(problem, ContactProblem):
+                raise InputError(
+                    f"build must return a ContactProblem, found {shown(problem)}. The mesh's error "
+                    "is estimated for linear bodies only: for other ones compare solutions on two "
+                    "meshes."
+                )
+            if not same_topology(problem.mesh, tagged_mesh.mesh):
+                raise InputError(
+                    "build must return a problem on the mesh that it is given, found one on "
+                    "another mesh, such as that of the level before: take space, forms, conditions "
+                    "and tags from the argument."
+                )
         with problem:
             options = problem.options
             if goal is not None:  # checked before a solve
@@ -394,8 +403,7 @@ def solve_adaptively(
                 # and by 5e-5 with 3e-5; the widest gap of `NEARLY` is about 1e-2 there.)
                 mesh_part = min(mesh_part, 3e-5)
             solution = problem.solve(accuracy="balanced", mesh_part=mesh_part)
-            level = judged(len(levels), tagged_mesh, problem, solution, goal)
-            level = replace(level, seconds=_seconds(comm, start))
+            level = judged(len(levels), tagged_mesh, problem, solution, goal, start)
             log(comm, "%s", level)
             stop, status = observe(level), None
             if level.solution.status is not ContactStatus.CONVERGED:
@@ -408,7 +416,11 @@ def solve_adaptively(
                 status = AdaptiveStatus.MAX_LEVELS
             else:
                 finer = refine(tagged_mesh, level.cell_errors, fraction)
-                if _cells(finer) / _cells(tagged_mesh) * level.free_dofs > most_dofs:
+                cells, finer_cells = (
+                    tagged.mesh.topology.index_map(tagged.mesh.topology.dim).size_global
+                    for tagged in (tagged_mesh, finer)
+                )
+                if finer_cells / cells * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:
                     tagged_mesh = finer
@@ -422,31 +434,6 @@ def solve_adaptively(
             return AdaptiveSolution(status, wanted, tuple(levels))
 
 
-def _cells(tagged_mesh: TaggedMesh) -> int:
-    """Return the number of cells of all ranks. Not collective."""
-    topology = tagged_mesh.mesh.topology
-    return int(topology.index_map(topology.dim).size_global)
-
-
 def _seconds(comm: MPI.Comm, start: float) -> float:
     """Return the seconds since `start` on the slowest rank. Collective."""
     return float(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
-
-
-def _check_problem(problem: Any, tagged_mesh: TaggedMesh) -> None:
-    """Check what `build` returned. Not collective.
-
-    Raises:
-        InputError: the value is not a problem, or is a problem on another mesh.
-    """
-    if not isinstance(problem, ContactProblem):
-        raise InputError(
-            f"build must return a ContactProblem, found {shown(problem)}. The mesh's error is "
-            "estimated for linear bodies only: for other ones compare solutions on two meshes."
-        )
-    if not same_topology(problem.mesh, tagged_mesh.mesh):
-        raise InputError(
-            "build must return a problem on the mesh that it is given, found one on another mesh, "
-            "such as that of the level before: take space, forms, conditions and tags from the "
-            "argument."
-        )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
+from typing import Any
 
 from mpi4py import MPI
 
@@ -12,31 +14,42 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask, real
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, timed
-from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
-from dolfinx_tresca.contact.factorisation import Factorisation
+from dolfinx_tresca._base.bodies import Bodies
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, timed, warn
+from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import moved_jump
-from dolfinx_tresca.dual.response import InitialGuess
+from dolfinx_tresca.dual.load_steps import SlipHistory, moved_jump
+from dolfinx_tresca.dual.products import ContactCompliance
+from dolfinx_tresca.dual.program import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
-from dolfinx_tresca.output.summary import ProblemSummary
-from dolfinx_tresca.pairing.group import groups_of
+from dolfinx_tresca.floating.rigid_modes import (
+    RigidBodyModes,
+    fixing_springs,
+    weakly_resisted_modes,
+)
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.output.report import ProblemSummary
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
-from dolfinx_tresca.scene.friction import Bonded, Preload
+from dolfinx_tresca.pairing.undeformed import groups_of
+from dolfinx_tresca.scene.friction import Bonded, Frictionless, Preload
 from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
+from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose, warn_of_slow_blas
 from dolfinx_tresca.stiffness.frames import BodyFrames
+from dolfinx_tresca.stiffness.solver import check_options, cholesky, multigrid
+from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class ContactSurfaces(PetscOwner):
     """The contact surfaces as they are paired now, B and A on them, and their load steps.
 
+    Springs are added to K that fix the bodies that K holds only weakly, and the sum is factored.
     Surfaces are paired again on request, with finite sliding, or if an obstacle moves: then B and A
     are replaced, and tractions and slip are carried over.
 
@@ -44,8 +57,10 @@ class ContactSurfaces(PetscOwner):
         linear: the system K u = f.
         pairs: the surfaces that may touch.
         secondary: the secondary side of each pair.
+        bodies: the bodies of the mesh.
+        method: name of the chosen solver for K.
+        reason: why this solver was chosen, as text.
         slides_far: whether at least one pair has finite sliding.
-        stiffness: object that assembles and factors K.
         friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
             nodes of the displacement.
         jump: the operator B, which maps displacements to jumps across the contact surfaces.
@@ -61,20 +76,44 @@ class ContactSurfaces(PetscOwner):
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
 
-    def __init__(self, stiffness: Factorisation) -> None:
-        """Pair the surfaces, and assemble and factor K. Collective.
+    def __init__(
+        self,
+        linear: LinearSystem,
+        pairs: list[ContactPair],
+        stiffness: StiffnessMethod,
+        petsc_options: Mapping[str, Any] | None,
+        petsc_options_prefix: str | None,
+        expected_solves: int = 1,
+    ) -> None:
+        """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective.
 
         Args:
-            stiffness: object that assembles and factors K.
+            linear: the system K u = f.
+            pairs: the contact pairs, whose tags of cells have the names of bodies.
+            stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
+            petsc_options: PETSc options of the solver for K, with precedence over the defaults.
+            petsc_options_prefix: prefix of the options that the command line gives to this solver.
+            expected_solves: number of solves with the same K, approximately.
 
         Raises:
-            InputError: a gap or a law of friction is wrong.
+            InputError: an option of the solver, a gap or a law of friction is wrong.
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        linear, pairs = stiffness.linear, stiffness.pairs
-        self.linear, self.pairs, self.stiffness = linear, pairs, stiffness
-        self.comm, self._destroyed = linear.comm, False
+        self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
+        self._petsc_options = petsc_options or {}, petsc_options_prefix
+        check_options(*self._petsc_options)
+        if linear.comm.rank == 0:
+            warn_of_slow_blas()
+        check_tags(pairs, linear.V.mesh)
+        cell_tags = (pair.cell_tags for pair in pairs if pair.cell_tags is not None)
+        self.bodies = Bodies.from_space(linear.V, next(cell_tags, None))
+        dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
+        size = dim * self.bodies.mean_nodes
+        self.method, self.reason = choose(
+            stiffness, size, dim, expected_solves, linear.comm, saddle=is_saddle
+        )
+        self._modes: RigidBodyModes | None = None
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
         # the slip bound of a pair depends on the pressure, unless its coefficient is zero
@@ -99,12 +138,62 @@ class ContactSurfaces(PetscOwner):
             self.guess = InitialGuess(np.zeros(len(linear.prescribed)))
             self.obstacles.note_pairing(self.jump)
             self._state = StepState.undeformed(self.jump, self.obstacles.motions)
-            self.compliance = stiffness.compliance(self.jump, self.timings)
+            self.compliance = self._factored()
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
                 for pair, on_nodes in zip(pairs, operators, strict=True):
                     self.friction.check(pair.friction, on_nodes.nodes, rounding)
         self.frames_at_rest = self._frames_at_rest()
+
+    def _factored(self) -> ContactCompliance:
+        """Assemble K, find the rigid modes that it resists weakly, and return A. Collective.
+
+        With a mixed space, the modes are found in the first call only: in later steps, pressures
+        make the block of the displacements indefinite even for a stable body, and the signs of
+        pivots tell whether bodies are held.
+
+        Raises:
+            StiffnessError: K is not symmetric, or is indefinite.
+        """
+        linear = self.linear
+        with timed("stiffness", self.timings):
+            linear.assemble_stiffness()
+            if self._modes is None or linear.component is None:
+                self._modes = weakly_resisted_modes(linear, self.bodies)
+        springs = fixing_springs(self._modes, linear)
+        with timed(self.method, self.timings):
+            K = springs.added_to(linear.K) if springs else linear.K
+            if self.method == "cholesky":
+                solver = cholesky(K, *self._petsc_options, linear.saddle_size)
+            else:
+                solver = multigrid(K, linear.V, linear.prescribed, *self._petsc_options)
+            # for a saddle point, this factors another matrix
+            return ContactCompliance(self.jump, solver, springs)
+
+    @property
+    def bodies_found(self) -> str:
+        """The number of bodies and of the rigid motions that K resists weakly, as text."""
+        return f"{self.bodies.number}{'' if self._modes is None else self._modes.summary}"
+
+    def check_suits(self, options: SolverOptions) -> None:
+        """Check that options suit the bodies and the form. Not collective.
+
+        Raises:
+            InputError: the options need a form of UFL, or bodies without rigid motions.
+        """
+        linear = self.linear
+        if options.balanced and not linear.form_of_displacement:
+            reason = "a is none" if linear.form is None else "a is on a mixed space"
+            raise InputError(
+                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
+                f"is estimated with a form of UFL of the displacement, and {reason}. Give "
+                "solve(accuracy=1e-3), or a rtol."
+            )
+        if options.method != "projected_newton" and self._modes:
+            raise InputError(
+                f"method={options.method!r} needs bodies that are held by supports, but found "
+                f"{self.bodies_found}. Take method='projected_newton'."
+            )
 
     def _frames_at_rest(self) -> BodyFrames | None:
         """Return the frames of undeformed linear bodies with finite sliding. Collective."""
@@ -129,8 +218,9 @@ class ContactSurfaces(PetscOwner):
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._destroyed = True
-        for owner in (self.compliance, self.jump):
+        for owner in (self.compliance, self.jump, self.linear):
             owner.destroy()
+        free_unused(self.comm)
 
     def check_not_destroyed(self) -> None:
         """Check that the PETSc objects exist. Not collective.
@@ -191,8 +281,6 @@ class ContactSurfaces(PetscOwner):
             InputError: a gap is on another mesh, or is NaN or infinite.
         """
         gaps = self.added_gaps()
-        former_gaps = [on_nodes.added_gap for on_nodes in self.jump.pairs]
-        changed = not all(map(np.array_equal, gaps, former_gaps))
         with errors_on_all_ranks(self.comm):
             for pair, gap in zip(self.pairs, gaps, strict=True):
                 if not np.isfinite(gap).all():
@@ -200,9 +288,8 @@ class ContactSurfaces(PetscOwner):
                         f"the gap of contact pair {pair} has values that are NaN or infinite. For "
                         "surfaces that cannot touch give no pair."
                     )
-        if self.comm.allreduce(changed, op=MPI.LOR):
-            operators = zip(self.jump.pairs, gaps, strict=True)
-            self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
+        operators = zip(self.jump.pairs, gaps, strict=True)
+        self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
@@ -246,8 +333,9 @@ class ContactSurfaces(PetscOwner):
         same = solved is not None and np.array_equal(solved.fields.u.x.array, u.x.array)
         continues = self.comm.allreduce(same, op=MPI.LAND)
         self.note_obstacles()
-        self._pair_anew(u, np.ones(len(self.pairs), np.bool_), continues=continues)
-        self._state = replace(self._state, configuration=u.copy(), geometry=u.copy())
+        self._pair_anew(u, np.ones(len(self.pairs), np.bool_))
+        places = {"configuration": u.copy(), "geometry": u.copy()}
+        self._state = replace(self._state, **places, continues=continues)
 
     @property
     def state(self) -> StepState:
@@ -270,11 +358,12 @@ class ContactSurfaces(PetscOwner):
         """
         self.state = state
         if state.jump is not self.jump:
-            moved_to, self.obstacles.motions = self.obstacles.motions, state.motions
+            moved_to = self.obstacles.motions
+            self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
             self._state = replace(state, jump=jump)
             self._replace_jump(jump)
-            self.obstacles.motions = moved_to
+            self.obstacles.place(moved_to)
 
     def begin_solve(self) -> None:
         """Pair again where obstacles have moved, then go back to where the next solve starts.
@@ -330,16 +419,28 @@ class ContactSurfaces(PetscOwner):
     def note_obstacles(self) -> Mask:
         """Record the present positions of the obstacles. Collective.
 
+        A warning is logged for obstacles with friction that have changed without `move_to`, since
+        the slip does not contain such a change. Obstacles that depend on Constants may change
+        without a warning.
+
         Returns:
             (pairs,) whether the distance from the obstacle has changed since the pairing.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
         same_place = (self._state.motions == motions).all(axis=(1, 2))
         self._state = replace(self._state, motions=motions)
-        self.obstacles.warn_of_unknown_motions(changed, same_place)
+        for pair in compress(self.pairs, changed & same_place):
+            fixed = pair.obstacle is not None and not pair.obstacle.constants
+            if fixed and not isinstance(pair.friction, Frictionless):
+                warn(
+                    self.comm,
+                    "contact pair %s: the distance from the obstacle has changed in a way that is "
+                    "not part of the slip. With friction move the obstacle by its move_to().",
+                    pair,
+                )
         return changed
 
-    def _pair_anew(self, u: fem.Function, anew: Mask, *, continues: bool = False) -> None:
+    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
         With finite sliding, the slip counts from the last accepted step. The slip of a node is its
@@ -349,7 +450,6 @@ class ContactSurfaces(PetscOwner):
         Args:
             u: displacement [length] in the problem's space.
             anew: (pairs,) True for the pairs to be paired again.
-            continues: whether the load step goes on; see `StepState.paired_at`.
 
         Raises:
             PairingError: the displaced surfaces cannot be paired.
@@ -364,7 +464,7 @@ class ContactSurfaces(PetscOwner):
             since_accepted = self._finite_sliding & anew
             frames = self.frames_at(u) if since_accepted.any() else self.jump.frames
             jump = moved_jump(self.jump, self.pairs, u, anew, frames)
-            self._state = self._state.paired_at(jump, u, since_accepted, continues=continues)
+            self._state = self._state.paired_at(jump, u, since_accepted)
             self._replace_jump(jump)
 
     def _replace_jump(self, jump: JumpOperator) -> None:
@@ -456,7 +556,7 @@ class ContactSurfaces(PetscOwner):
                 body that has turned in its frame.
         """
         self.compliance.destroy()
-        self.compliance = self.stiffness.compliance(self.jump, self.timings)
+        self.compliance = self._factored()
         frames = self._frames_at_rest()
         if self.jump.frames is not None and (
             frames is None or (frames.has_frame != self.jump.frames.has_frame).any()

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
@@ -25,7 +24,6 @@ from dolfinx_tresca._base.parallel import (
 from dolfinx_tresca._base.petsc import free_unused, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
-from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError
@@ -34,7 +32,8 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Preload
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
+from dolfinx_tresca.scene.obstacle import RigidMotion
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
 from dolfinx_tresca.solution.scene_checks import (
     Limit,
@@ -45,14 +44,13 @@ from dolfinx_tresca.solution.scene_checks import (
     motions_of_pairs,
     reason_outside,
 )
-from dolfinx_tresca.solvers.convergence import BALANCED
-from dolfinx_tresca.solvers.friction_cones import CurveAtNodes, FrictionCones, pressed_values
+from dolfinx_tresca.solvers.feasible_set import CurveAtNodes, FrictionCones, pressed_values
 from dolfinx_tresca.solvers.iteration import solve
-from dolfinx_tresca.solvers.problem import DualSolution
+from dolfinx_tresca.solvers.problem import BALANCED, DualSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.blas import one_thread
-from dolfinx_tresca.table import Row
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.stiffness.choice import one_thread
+from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.table import Row, Units
 
 #: Statuses with which a solution may have left linear theory. Where a body slides without end,
 #: there is no fixed point of pressures and slip bounds, and the last iterate shows the motion.
@@ -65,34 +63,30 @@ class ContactSystem(ContactSurfaces):
 
     A linear problem uses one such system for all solves. Newton's method for nonlinear bodies also
     uses one; its K is the present tangent.
-
-    Attributes:
-        bodies: the bodies of the mesh.
     """
 
-    def __init__(self, stiffness: Factorisation) -> None:
+    def __init__(self, linear: LinearSystem, pairs: list[ContactPair], *solver: Any) -> None:
         """Pair the surfaces, and assemble and factor K. Collective.
 
         Args:
-            stiffness: object that assembles and factors K. The problem owns its system K u = f, and
-                destroys it if this call fails.
+            linear: the system K u = f, which is destroyed if this call fails.
+            pairs: the contact pairs.
+            solver: how to solve with K; see `ContactSurfaces`.
 
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
-        linear = stiffness.linear
         self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
         for space in (linear.space, linear.V):
             keep_inner_communicator(space.dofmap.index_map.comm)
         try:
             free_unused(linear.comm)  # objects of earlier problems that were not destroyed
-            super().__init__(stiffness)
+            super().__init__(linear, pairs, *solver)
         except ContactError:
             linear.destroy()
             raise
-        self.bodies: Bodies = stiffness.bodies
         hint_at_scene(linear.V, self.pairs, self.jump.pairs, self.bodies)
 
     def solution_for(self, purpose: str) -> StepSolution:
@@ -112,17 +106,11 @@ class ContactSystem(ContactSurfaces):
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
-            ("bodies", self.stiffness.bodies_found),
+            ("bodies", self.bodies_found),
             *self.summary.rows(units),
             ("solver for K", str(self.compliance.operator.solver)),
-            ("chosen", self.stiffness.reason),
+            ("chosen", self.reason),
         ]
-
-    def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
-        super().destroy()
-        self.linear.destroy()
-        free_unused(self.comm)
 
     def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
         """Return the present gaps, slip bounds and friction curves at contact nodes. Collective.
@@ -134,8 +122,8 @@ class ContactSystem(ContactSurfaces):
         result = self.added_gaps()
         for bounds in self.slip_bounds():
             result += [bounds.constant, bounds.coefficient, bounds.limit]
-            if bounds.ellipses is not None:
-                result += [bounds.ellipses.shape, bounds.ellipses.direction]
+            if bounds.direction is not None:
+                result += [bounds.shape, bounds.direction]
         with errors_on_all_ranks(self.comm):
             return result + [pressed_values(*curve) for curve in curves]
 
@@ -202,17 +190,13 @@ class ContactSystem(ContactSurfaces):
             self.linear.assemble_load()
             self.update_gaps()
 
-    def checked(self, solution: Solution, *, linear: bool = True) -> Solution:
+    def checked(self, solution: Solution) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
         Prescribed overlaps and the reason of a failure are logged. A solve that found no solution
         since bodies slide away has this as its reason. With finite sliding, the first
         configurations are not checked, since surfaces that come from afar may lie deep inside other
-        bodies there.
-
-        Args:
-            solution: the solution at the end of a solve.
-            linear: whether bodies are linear, so that rotations and deformations have limits.
+        bodies there. Rotations and deformations have limits if the bodies are linear.
         """
         hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
@@ -221,7 +205,7 @@ class ContactSystem(ContactSurfaces):
             motions = self.obstacles.motions if state.solution is None else state.solution.motions
             scene = self.jump, self.pairs, solution.u, state.geometry
             departures = [
-                *(motions_of_bodies(v, self.bodies) if linear else ()),
+                *(() if self.linear.is_tangent else motions_of_bodies(v, self.bodies)),
                 *motions_of_pairs(*scene, tractions, motions),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
@@ -262,7 +246,7 @@ class ContactSystem(ContactSurfaces):
         """
         free_unused(self.comm)  # vectors of the solves before
         requested = requested or options
-        self.stiffness.check_suits(options)
+        self.check_suits(options)
         self.compliance.operator.solver.check_ready()
         timings, self.timings = self.timings, {}
         self.state = replace(self.state, solution=None, pending=False)

@@ -23,7 +23,7 @@ from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 #: Largest number of differences of iterates that Anderson's acceleration uses.
 ANDERSON_DEPTH = 3
@@ -196,48 +196,43 @@ class FiniteSliding:
         """
         contact, state = self._contact, self._contact.state
         linear, origin, at_rest = contact.linear, state.configuration, contact.frames_at_rest
-        solver = contact.compliance.operator.solver
-        if at_rest is None:
-            w = linear.response_to_prescribed_values(solver, origin)
-            moves = bool(w.x.array.any())
-            w.x.array[:] += origin.x.array
-        else:
-            frames, linear.frames = contact.jump.frames, None
+        frames, v = contact.jump.frames, origin
+        if at_rest is not None:
+            linear.frames = None
             values, held = linear.prescribed_values(), origin.copy()
-            fraction = self._part_of_last_motion(values)
             accepted, before = state.accepted.displacement, state.accepted.before
-            if fraction != 0.0 and accepted is not None and before is not None:
-                held = at_rest.continued(before, accepted, fraction)
+            if accepted is not None and before is not None:
+                fraction = self._part_of_last_motion(values, before, accepted)
+                if fraction != 0.0:
+                    held = at_rest.continued(before, accepted, fraction)
             held.x.array[: len(linear.prescribed)][linear.prescribed] = values
             held.x.scatter_forward()
-            changes = np.abs(held.x.array - origin.x.array)
-            moves = bool((changes > ROUNDING * np.abs(origin.x.array).max(initial=0.0)).any())
             linear.frames = contact.frames_at(held)
             v = origin if frames is None else frames.deformation(origin)
-            w = linear.response_to_prescribed_values(solver, v)
-            w.x.array[:] += v.x.array
-            w = w if linear.frames is None else linear.frames.displacement(w)
-            linear.frames = frames
-        if contact.comm.allreduce(moves, op=MPI.LOR):
+        w = linear.response_to_prescribed_values(contact.compliance.operator.solver, v)
+        w.x.array[:] += v.x.array
+        w = w if linear.frames is None else linear.frames.displacement(w)
+        linear.frames = frames
+        sizes = [np.abs(x).max(initial=0.0) for x in (w.x.array - origin.x.array, w.x.array)]
+        moved, displaced = reduce_array(contact.comm, sizes, MPI.MAX)
+        if moved > ROUNDING * (contact.obstacles.extent + displaced):
             contact.pair_where_changed(w)
 
-    def _part_of_last_motion(self, values: Array) -> float:
+    def _part_of_last_motion(
+        self, values: Array, before: fem.Function, accepted: fem.Function
+    ) -> float:
         """Return the change of the prescribed values in this step, relative to the last one.
 
-        It is 1 if they change by the same amounts, and zero if they do not change or the step
-        before the last one is not known. Collective.
+        It is 1 if they change by the same amounts, and zero if they do not change. Collective.
 
         Args:
             values: present prescribed values, in the order of owned unknowns.
+            before: displacement [length] before the last step.
+            accepted: displacement [length] of the last step.
         """
-        accepted, prescribed = self._contact.state.accepted, self._contact.linear.prescribed
-        if accepted.displacement is None or accepted.before is None:
-            return 0.0
-        reached, before = (
-            u.x.array[: len(prescribed)][prescribed]
-            for u in (accepted.displacement, accepted.before)
-        )
-        last_step, present_step = reached - before, values - reached
+        prescribed = self._contact.linear.prescribed
+        begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
+        last_step, present_step = reached - begin, values - reached
         present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
         products = [float(last_step @ last_step), float(last_step @ present_step)]
         square, product = reduce_array(self._contact.comm, products)

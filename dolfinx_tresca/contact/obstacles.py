@@ -12,16 +12,15 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.floating.equilibrium import FreeMotion
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.friction import Frictionless, Preload
-from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidObstacle
+from dolfinx_tresca.scene.friction import Preload
+from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
 
 #: A cut is flat if 1 minus the cosine of the angle between any normal and their mean is at most
 #: this number (a tenth of a degree is 1.5e-6).
@@ -32,10 +31,13 @@ class Obstacles:
     """The rigid obstacles of a problem, and their distances when the surfaces were paired.
 
     The two sides of a cut bolt have a motion, too: the secondary side, relative to the primary one.
+
+    Attributes:
+        extent: the largest absolute coordinate of the mesh on all ranks [length].
     """
 
     def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
-        """Find the obstacles of the pairs. Not collective.
+        """Find the obstacles of the pairs. Collective.
 
         Args:
             V: the space of the displacement.
@@ -44,7 +46,9 @@ class Obstacles:
         self._V, self._pairs = V, pairs
         self._obstacles = [pair.obstacle for pair in pairs]
         self._at_pairing: list[Array] = []
-        self._of_bodies = np.tile(RigidMotion.none().matrix, (len(pairs), 1, 1))
+        self._of_bodies = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
+        largest = np.abs(V.mesh.geometry.x).max(initial=0.0)
+        self.extent = float(reduce_array(V.mesh.comm, largest, MPI.MAX))
 
     @property
     def motions(self) -> Array:
@@ -55,11 +59,7 @@ class Obstacles:
                 motions[number] = obstacle.motion.matrix
         return motions
 
-    @motions.setter
-    def motions(self, motions: Array) -> None:
-        self.place(motions, only_held_by_forces=False)
-
-    def place(self, motions: Array, *, only_held_by_forces: bool) -> None:
+    def place(self, motions: Array, *, only_held_by_forces: bool = False) -> None:
         """Place bolts and obstacles, all or only those that forces hold. Not collective.
 
         Args:
@@ -189,35 +189,12 @@ class Obstacles:
         The change is that since `note_pairing`. An obstacle that moves along its own surface
         changes neither. Collective.
         """
-        extent_on_rank = np.abs(self._V.mesh.geometry.x).max(initial=0.0)
-        limit = ROUNDING * np.array([extent_on_rank, 1.0, 1.0, 1.0])  # of the distance, the normal
+        limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of the distance, the normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
             for before, after in zip(self._at_pairing, self._distances(jump), strict=True)
         ]
         return np.asarray(reduce_array(self._V.mesh.comm, np.array(changed_on_rank)) > 0)
-
-    def warn_of_unknown_motions(self, changed: Mask, same_place: Mask) -> None:
-        """Log a warning for obstacles with friction that changed without `move_to`.
-
-        The slip does not contain such a change. Obstacles that depend on Constants may change
-        without a warning. Not collective.
-
-        Args:
-            changed: (pairs,) whether the distance has changed.
-            same_place: (pairs,) whether the motion that `move_to` sets is unchanged.
-        """
-        for pair, obstacle, unknown in zip(
-            self._pairs, self._obstacles, changed & same_place, strict=True
-        ):
-            fixed = obstacle is not None and not obstacle.constants
-            if unknown and fixed and not isinstance(pair.friction, Frictionless):
-                warn(
-                    self._V.mesh.comm,
-                    "contact pair %s: the distance from the obstacle has changed in a way that is "
-                    "not part of the slip. With friction move the obstacle by its move_to().",
-                    pair,
-                )
 
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rate of change (pairs,) of each pair's distances. Collective.
@@ -248,12 +225,6 @@ class Obstacles:
         ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
         largest = [np.abs(distances).max(initial=0.0) for distances in np.split(rates[0], ends)]
         return np.asarray(reduce_array(comm, np.array(largest), MPI.MAX))
-
-    @property
-    def extent(self) -> float:
-        """The largest absolute coordinate of the mesh on all ranks [length]. Collective."""
-        x = self._V.mesh.geometry.x
-        return float(reduce_array(self._V.mesh.comm, np.abs(x).max(initial=0.0), MPI.MAX))
 
     def displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
         """Return the displacement of an obstacle at each node, since a former position.

@@ -18,7 +18,7 @@ same adjoint. A *tape* keeps accepted load steps, and carries gradients back thr
 | q_u, q_x | `on_u`, `on_x` (and `on_jump` by B u) | derivatives of a goal by the solution |
 
 Read first: `linearised.LinearisedContact` (the equations, with tangent and adjoint as one solve),
-`change_of_data.DataOfSolution` (what depends on controls), `gradient_and_tangent.gradient`. The
-files are in the order of imports: `linearised`, `goals` (with their errors), `change_of_data`,
-`gradient_and_tangent`, `tape`.
+`change_of_data.DataOfSolution` (what depends on controls), `goals.gradient`. The files are in the
+order of imports: `linearised`, `change_of_data`, `goals` (with their errors, gradients and
+tangents), `tape`.
 """

@@ -29,18 +29,17 @@ import dolfinx.la
 import ufl
 from dolfinx import fem
 
+from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.derivatives.goals import value_of
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.moved import Carry, moved_jump
+from dolfinx_tresca.dual.load_steps import Carry, moved_jump
 from dolfinx_tresca.dual.nodal_values import DIFFERENCE, inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.goal import Goal, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solvers.friction_cones import FrictionCones, pressed_values
+from dolfinx_tresca.scene.pair import ContactPair, Goal, checked_goal
+from dolfinx_tresca.solvers.feasible_set import FrictionCones, pressed_values
 
 #: Input with respect to which derivatives are taken; users change its values in place.
 Control: TypeAlias = "fem.Constant | fem.Function"
@@ -74,7 +73,10 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     def radii_of_bound(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
         ones = [np.ones(len(pair.nodes)) for pair in jump.pairs]
-        bounds = [NodalBounds(constant * unit, coefficient * unit, np.inf * unit) for unit in ones]
+        bounds = [
+            NodalBounds(constant * unit, coefficient * unit, np.inf * unit, np.ones((len(unit), 2)))
+            for unit in ones
+        ]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
     # derivatives of the radii of min(c + F p, l) by c, F and l
@@ -248,16 +250,11 @@ class DataOfSolution:
                 bounds of orthotropic friction, or the position of an obstacle that reads a
                 Function, depend on a control.
         """
-        if not isinstance(controls, Sequence):
-            raise InputError(
-                "controls must be a list of fem.Constant and fem.Function, such as [coefficient], "
-                f"found {shown(controls)}."
-            )
+        wanted = "a list of fem.Constant and fem.Function, such as [coefficient]"
+        check_type("controls", controls, Sequence, wanted)
         for control in controls:
-            if not isinstance(control, fem.Constant | fem.Function):
-                raise InputError(
-                    f"a control must be a fem.Constant or a fem.Function, found {shown(control)}."
-                )
+            kinds = fem.Constant | fem.Function
+            check_type("a control", control, kinds, "a fem.Constant or a fem.Function")
             for pair in self.system.pairs:
                 terms = pair.friction.terms
                 bounds = [getattr(terms, name) for name in TERMS]
@@ -367,31 +364,6 @@ class DataOfSolution:
             if by_field is not None:
                 result += by_field
         return np.asarray(result)
-
-    def explicit_rate(
-        self, goal: Any, controls: Sequence[Control], directions: Sequence[Any], change: DataVector
-    ) -> float:
-        """Return the change of a goal with u and the multipliers fixed, to first order. Collective.
-
-        A form of rank 0 may depend on controls, and a goal such as a force depends on the position
-        of obstacles through normals and tangents.
-
-        Args:
-            goal: a goal, or a form of rank 0.
-            controls: Constants and Functions.
-            directions: their changes.
-            change: the change of the data that these changes cause.
-        """
-        if isinstance(goal, ufl.Form):
-            pairs = zip(controls, directions, strict=True)
-            return float(sum(self.derivative(goal, *pair) for pair in pairs))
-        x = self.contact.multipliers
-        return float(
-            sum(
-                rows.rate(lambda side, jump_of_u: value_of(goal, side, x, jump_of_u))
-                for rows in change.moved
-            )
-        )
 
     def _prescribed_by(self, control: Control, values: Array) -> Array:
         """Return the values that Dirichlet conditions take from a control. Not collective.

@@ -26,7 +26,7 @@ satisfies the equations of equilibrium (`floating/equilibrium.py`) with q_u in p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from petsc4py import PETSc
@@ -42,13 +42,17 @@ from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
 from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.solvers.feasible_set import Face
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
-from dolfinx_tresca.solvers.linear_algebra import NodalMaps, NodalPattern, norm
+from dolfinx_tresca.solvers.constraints import NodalPattern, norm
+from dolfinx_tresca.solvers.feasible_set import Face, FrictionCones
+from dolfinx_tresca.solvers.products import NodalMaps
 
 #: Relative error of y in the energy norm of the model of A, for estimates of errors; its square is
 #: the relative error of the adjoint's energy.
 ADJOINT_ACCURACY = ROUGH
+
+#: Whether products are exact -> relative error of the multipliers of derivatives, in the energy
+#: norm; products of an iterative solver for K have this error.
+ACCURACY = {True: 1e-10, False: 1e-5}
 
 #: The right-hand side of the equations for GCR is a difference of two terms. The residual of GCR
 #: counts as rounding up to this multiple of the sum of the terms' absolute values.
@@ -58,6 +62,18 @@ RESIDUAL_ROUNDING = 1e-10
 #: the energy norm. The first step is the displacement at y = 0. With twice the value derivatives of
 #: a rubbing block have an error of 1.2e-4 in place of 3e-5, since errors of products enter y.
 STEP_ACCURACY = 0.05
+
+
+NO_ADJOINT = (
+    "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
+    "slipping) nothing, or hardly anything, holds a body against the motion that the number "
+    "depends on. Ask for another number, or refine for the energy error."
+)
+NO_TANGENT = (
+    "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
+    "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
+    "cause. Take another direction, or the difference of two solutions."
+)
 
 
 @dataclass(frozen=True)
@@ -75,14 +91,6 @@ class LinearisedContact:
     multipliers: Array
     u: fem.Function
     bounds: Sequence[NodalBounds]
-
-    @property
-    def accuracy(self) -> float:
-        """Relative error of the multipliers of derivatives, in the energy norm. Not collective.
-
-        Products of an iterative solver for K have this error.
-        """
-        return 1e-10 if self.dual.operator.exact else 1e-5
 
     @cached_property
     def gradient(self) -> Array:
@@ -169,7 +177,7 @@ class LinearisedContact:
             on_x: (size,) derivative of the goal with respect to x.
             on_u: (owned degrees of freedom,) derivative of the goal with respect to u, zero where u
                 is prescribed; None: zeros.
-            accuracy: relative error of y in the energy norm; None: `accuracy`.
+            accuracy: relative error of y in the energy norm; None: `ACCURACY`.
 
         Raises:
             ConvergenceError: no adjoint exists.
@@ -199,7 +207,8 @@ class LinearisedContact:
             ConvergenceError: no solution exists.
         """
         dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
-        accuracy = self.accuracy if accuracy is None else accuracy
+        if accuracy is None:
+            accuracy = ACCURACY[dual.operator.exact]
         prescribed = dual.jump.system.prescribed
         v = fem.Function(dual.jump.system.V, name="adjoint" if transpose else "displacement")
         displacement = _FollowedDisplacement(dual, force, v.x.petsc_vec)
@@ -259,13 +268,13 @@ class LinearisedContact:
             model = store.model()
         y, c = point[: ends[0]], point[ends[0] : ends[1]]
         accepted = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * right)
-        if not converged and norm(dual, root * residual) > max(accepted, rounding):
-            raise _none(transpose)
+        is_solved = converged or norm(dual, root * residual) <= max(accepted, rounding)
         unmet = unmet - dual.inner(constraints.columns, y) - constraints.softness @ c
         largest = size if transpose else size + norm(dual, y)
         # relative to the size of the data: derivatives of the goal, or changes of the load
-        if size > 0.0 and np.linalg.norm(unmet) > 1e-6 * largest:
-            raise _none(transpose)
+        is_balanced = size == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
+        if not (is_solved and is_balanced):
+            raise ConvergenceError(NO_ADJOINT if transpose else NO_TANGENT)
         # a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
@@ -281,23 +290,17 @@ class LinearisedContact:
             diagonal: (size,) diagonal D of the model of A.
             transpose: whether the maps are those of the adjoint.
         """
-        face, curvature, change = self._states
-        project, weight = face.project, 1.0 / (diagonal + curvature)
-
-        def test(v: Array) -> Array:
-            return project(change.T @ v) if transpose else project(v)
-
-        def inverse(v: Array) -> Array:
-            weighted = np.asarray((weight * test(v).T).T)
-            return weighted if transpose else change @ weighted
-
-        def added(v: Array) -> Array:
-            along = project(v)
-            curved = np.asarray((curvature * along.T).T)
-            left = v - (along if transpose else change @ along)
-            return (test(curved) if transpose else curved) + (left.T * diagonal).T
-
-        return NodalMaps(test=test, added=added, inverse=inverse)
+        (face, curvature, change), x = self._states, self.multipliers
+        if not transpose:
+            cones = self.dual.admissible.at_point(x, self.gradient)
+            return NodalMaps.on_face(cones, x, face, diagonal, curvature)
+        # with the bounds of the solution, Q is zero
+        maps = NodalMaps.on_face(face.discs, x, face, diagonal, curvature)
+        return replace(
+            maps,
+            test=lambda v: maps.test(change.T @ v),
+            inverse=lambda v: maps.inverse(change.T @ v),
+        )
 
 
 class _FollowedDisplacement:
@@ -369,18 +372,3 @@ class _FollowedDisplacement:
         change = v.array - self._v.array
         v.destroy()
         return product, float(np.hypot(self._error, before)), change
-
-
-def _none(transpose: bool) -> ConvergenceError:
-    """Return the error to raise if no adjoint (`transpose`) or no tangent exists."""
-    if transpose:
-        return ConvergenceError(
-            "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
-            "slipping) nothing, or hardly anything, holds a body against the motion that the "
-            "number depends on. Ask for another number, or refine for the energy error."
-        )
-    return ConvergenceError(
-        "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
-        "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
-        "cause. Take another direction, or the difference of two solutions."
-    )

@@ -20,17 +20,17 @@ from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
-from dolfinx_tresca.derivatives.goals import WeightedGoals
-from dolfinx_tresca.derivatives.gradient_and_tangent import (
+from dolfinx_tresca.derivatives.goals import (
+    WeightedGoals,
     as_derivatives,
     gradient,
 )
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
+from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.nodal_values import replaced, values_of
-from dolfinx_tresca.dual.slip_history import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.scene.goal import Goal
-from dolfinx_tresca.solvers.friction_cones import CurveAtNodes
+from dolfinx_tresca.scene.pair import Goal
+from dolfinx_tresca.solvers.feasible_set import CurveAtNodes
 
 #: The quantity of a step that is differentiated: a goal, or a sum of goals as pairs (factor, goal).
 GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.Form]]"

@@ -9,7 +9,7 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
   surfaces anew, and `Carry` takes multipliers from one B to the next.
 - `SlipBounds`: the user's laws at nodes, as `NodalBounds`, of which `JumpOperator.bounded` makes a
   `FeasibleSet`, or `FrictionCones` if any bound depends on the pressure.
-- `FrictionDiscs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
+- `friction_discs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
   evaluates any field of the user at nodes.
 - `ContactCompliance`: all that follows from one K: A, near field, bound, error estimate.
 - `ElasticResponse`: the displacement for given multipliers, gradients and b, for one load.
@@ -29,5 +29,5 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 | D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
 
 Read first: `jump.JumpOperator.__init__`, `program.DualProgram`,
-`response.ElasticResponse.gradient`.
+`program.ElasticResponse.gradient`.
 """

@@ -18,15 +18,14 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices
 from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca._base.petsc import PetscOwner
-from dolfinx_tresca.dual.slip_bounds import FrictionDiscs, NodalBounds, with_tangents_along_axes
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, friction_discs, with_tangents_along_axes
 from dolfinx_tresca.pairing.operators import (
     PairOperators,
     as_petsc,
     assemble_B,
     joined,
 )
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones, NodalCurves
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones, NodalCurves
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
 
@@ -107,9 +106,10 @@ class JumpOperator(PetscOwner):
         self.is_tangential = is_tangential
         tangential, count = np.flatnonzero(is_tangential), len(self._roots)
         semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
-        self._ellipses = FrictionDiscs.of_ellipses(self.row_nodes[tangential], semi_axes, count)
         stretch = np.ones(len(scale))
-        stretch[tangential] = self._ellipses.stretch
+        stretch[tangential], self._relative_radius, frictionless = friction_discs(
+            self.row_nodes[tangential], semi_axes, count
+        )
         self._of_V = assemble_B(system.V, pairs)
         self._multipliers, self._jump = self._of_V.createVecLeft(), self._of_V.createVecLeft()
         self._multipliers.array = stretch
@@ -122,7 +122,7 @@ class JumpOperator(PetscOwner):
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
         rubs = ~is_bonded[tangential]
-        alone, tangential = self._ellipses.frictionless[rubs], tangential[rubs]
+        alone, tangential = frictionless[rubs], tangential[rubs]
         node = self.row_nodes[tangential].astype(np.intp)
         node[alone] = count + np.arange(alone.sum())
         radius = np.full(count + alone.sum(), np.inf)
@@ -167,7 +167,7 @@ class JumpOperator(PetscOwner):
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
-        count, radius = len(self.discs.radius), self._ellipses.radius
+        count, radius = len(self.discs.radius), self._relative_radius
         factors = {
             "constant": radius * self._roots,
             "coefficient": radius,
@@ -206,9 +206,7 @@ class JumpOperator(PetscOwner):
                 normal to the surface.
         """
         pairs = [
-            pair
-            if bounds.ellipses is None
-            else with_tangents_along_axes(self.system.V, pair, bounds.ellipses)
+            with_tangents_along_axes(self.system.V, pair, bounds)
             for pair, bounds in zip(self.pairs, slip_bounds, strict=True)
         ]
         same = all(pair is before for pair, before in zip(pairs, self.pairs, strict=True))

@@ -24,7 +24,7 @@ from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.user_fields import ScalarField, VectorField
+from dolfinx_tresca.scene.friction import ScalarField, VectorField
 
 #: Step of central differences, relative to the size of a Constant, or to the extent of the mesh if
 #: an obstacle moves. The truncation error is about the square of the step, the rounding error about

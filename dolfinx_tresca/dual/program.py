@@ -1,8 +1,10 @@
-"""The quadratic program (38.4) of one solve, with energies and their errors."""
+"""The quadratic program (38.4) of one solve: displacements, energies and their errors."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -14,15 +16,267 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.parallel import reduce_array
-from dolfinx_tresca.dual.mesh_error import total
-from dolfinx_tresca.dual.products.compliance import ContactCompliance
-from dolfinx_tresca.dual.response import ElasticResponse, InitialGuess
+from dolfinx_tresca._base.tolerances import FULL_ACCURACY, ROUGH, SLACK
+from dolfinx_tresca.dual.accuracy import total
+from dolfinx_tresca.dual.load_steps import SlipHistory
+from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
-from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.equilibrium import Equilibrium, FloatingBodies, Tools
 from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+
+
+@dataclass
+class InitialGuess:
+    """First guesses of u = K^-1 (f - B'x): the displacements at x = 0 and at the last multipliers.
+
+    Displacements are arrays of this rank's unknowns. (PETSc's `KSPGuess`, Fischer 1998, would
+    project onto earlier right-hand sides, and planes or lines through earlier points save no Krylov
+    iterations.)
+
+    Attributes:
+        load: u at x = 0, the displacement without contact.
+        newest: u at the last multipliers; None: not known.
+    """
+
+    load: Array
+    newest: Array | None = None
+
+
+#: Relative accuracy of the displacement without contact, in the energy norm.
+LOAD_ACCURACY = 1e-6
+
+#: Largest length or force that is accepted: its square, times a stiffness or area of up to 1e28, is
+#: less than the largest number of double precision, 1.8e308.
+LARGEST_SIZE = 1e140
+
+
+class ElasticResponse:
+    """The displacement for the present load and given multipliers, (38.1).
+
+    With a direct solver for K, displacements are exact to rounding, whatever is requested; with an
+    iterative one, only as accurate as requested. An object is valid until the load or K changes.
+
+    Attributes:
+        offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
+            at which the slip of this solve is zero; less the jumps of the frames of bodies that
+            have turned.
+        b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
+        b_error: norm sqrt(e'A^-1 e) of the error e of b.
+    """
+
+    b: Array
+    b_error: float
+
+    def __init__(
+        self, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
+    ) -> None:
+        """Compute b from the displacement without contact: one solve with K. Collective.
+
+        An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
+        residuals and the reported q depend on this b, while gradients do not.
+
+        Args:
+            compliance: A.
+            guess: displacements of earlier solves.
+            slip_origin: (size,) slip origin s, divided by the jump's `length_scale`.
+
+        Raises:
+            InputError: the load is too large or too small for floating-point numbers.
+            StiffnessError: the solve failed.
+        """
+        self._compliance, self._guess = compliance, guess
+        self._operator, self._solver = compliance.operator, compliance.operator.solver
+        self._jump = compliance.jump
+        self._system, self._inner = self._jump.system, self._jump.reductions.inner
+        self.offset = self._jump.gap + slip_origin
+        if (frames := self._jump.frames) is not None:
+            self.offset = self.offset - self._jump.of_displacement(frames.rigid)
+        self._u = self._jump.work
+        self._is_refined = self._solver.exact
+        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
+        self._compute_b(LOAD_ACCURACY)
+        self._check_units()
+
+    def _compute_b(self, rtol: float) -> None:
+        """Compute b from the displacement without contact, to a given accuracy. Collective."""
+        load, u = self._system.f.x.petsc_vec, self._u
+        u.array = 0.0 if load.norm() == 0.0 else self._guess.load  # exactly zero without load
+        self.b_error = self._solver.improve(load, u, rtol=rtol, accuracy=0.0)
+        if self._guess.newest is not None:
+            self._guess.newest = self._guess.newest + u.array - self._guess.load
+        self._guess.load = u.array.copy()
+        self.b = self._jump.of_unknowns(u) - self.offset
+
+    @property
+    def b_terms(self) -> Array:
+        """The sums (size,) of the absolute values of the terms of b, which may cancel."""
+        terms: Array = np.abs(self.b + self.offset) + np.abs(self.offset)
+        return terms
+
+    def refine_b(self) -> None:
+        """Compute b to the highest accuracy of the solver for K, once. Collective."""
+        if self._is_refined:
+            return
+        self._is_refined = True
+        self._compute_b(FULL_ACCURACY)
+        # includes rounding, which the iteration does not see
+        self._u.array = self._guess.load
+        rounding = self._solver.error(self._system.f.x.petsc_vec, self._u)
+        self.b_error = max(self.b_error, rounding)
+
+    def _check_units(self) -> None:
+        """Check that squares of lengths and forces neither overflow nor underflow. Collective.
+
+        Raises:
+            InputError: the squares would overflow or underflow.
+        """
+        force = self._system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
+        largest = float(reduce_array(self._system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
+        least = 1.0 / LARGEST_SIZE
+        for name, size in (("load", force), ("displacement it causes", largest)):
+            if size > LARGEST_SIZE or (largest < least and 0.0 < size < least):
+                raise InputError(
+                    f"the {name} has entries up to {size:.1e}: squares of such numbers cannot be "
+                    "computed. Choose units in which they are nearer to 1."
+                )
+
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
+
+        A direct solver takes one product, unless x is zero. An iterative solver for K starts from a
+        known displacement near x and solves to the requested accuracy only. Such a solve counts as
+        a product, unless the known displacement is already accurate enough. The error includes the
+        rounding of r: products are differences of gradients, and if steps are small compared with
+        the gaps, these differences may be pure rounding.
+
+        Args:
+            x: (size,) multipliers.
+            accuracy: requested error of the displacement in the energy norm; the returned error is
+                larger if the solver does not reach it.
+        """
+        if self._solver.exact:
+            presses = float(self._inner(x, x)) > 0.0
+            return (self._operator.apply(x) - self.b if presses else -self.b), 0.0
+        before = self._solver.krylov_iterations
+        self._u.array = self._guessed(x)
+        error = self._improve(x, self._u, accuracy)
+        self._operator.products += self._solver.krylov_iterations > before
+        self._guess.newest = self._u.array.copy()
+        r = self.gradient_of(self._u)
+        terms = np.abs(self.offset) + np.abs(self.offset - r)
+        # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
+        square = float(self._inner(terms, self._compliance.nodal_stiffness * terms))
+        return r, float(np.hypot(error, 0.5 * np.finfo(float).eps * np.sqrt(square)))
+
+    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
+        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
+        return self._solver.improve(
+            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
+        )
+
+    def gradient_of(self, u: PETSc.Vec) -> Array:
+        """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
+        return self.offset - self._jump.of_unknowns(u)
+
+    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
+        """Set u to the displacement at x, and keep it. Collective.
+
+        A direct solver takes one solve with K; with an iterative solver, u is known if the gradient
+        at x was computed from it.
+        """
+        u.array = self._guessed(x)
+        self._solver.improve(self._jump.net_force(x), u, rtol=ROUGH, accuracy=0.0)
+        if self._solver.exact:
+            self._solved = x.copy(), u.array.copy()
+
+    def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
+        """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
+
+        The next solve starts from the result. A displacement with which the convergence of the
+        multipliers was checked is returned unchanged, since a more accurate displacement may have a
+        larger error bound. The bounds of two displacements may differ by more than the energy norm
+        of the displacements' difference: for a bound, gaps are closed by moving contact nodes
+        alone, and this takes much energy if the difference is smooth and cells are flat.
+
+        Args:
+            x: (size,) multipliers.
+            u: vector for the result.
+            accuracy: largest error of u in the energy norm, without effect on a direct solver;
+                None: the accuracy in the solver's options.
+        """
+        solved = self._solved
+        if solved is not None and float(self._inner(x - solved[0], x - solved[0])) == 0.0:
+            u.array = solved[1]
+        elif accuracy is None or self._solver.exact:
+            self._solver.solve(self._jump.net_force(x), u)
+        else:
+            u.array = self._guessed(x)
+            if self.error(x, u) > SLACK * accuracy:
+                self._improve(x, u, accuracy)
+        self._guess.newest = u.array.copy()
+        return self.error(x, u)  # includes rounding, which an iteration does not see
+
+    def _guessed(self, x: Array) -> Array:
+        """Return the displacement without contact for x = 0, else that of the last multipliers."""
+        newest = self._guess.newest
+        if newest is None or float(self._inner(x, x)) == 0.0:
+            return self._guess.load
+        return newest
+
+    def error(self, x: Array, u: PETSc.Vec) -> float:
+        """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
+        return self._solver.error(self._jump.net_force(x), u)
+
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if less than its error.
+
+        Rigid displacements of bodies on soft springs are left out. The first call may need a solve
+        with K, if forces act and displacements are prescribed. Collective.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) gradient at x.
+            error: error of the displacement in the energy norm.
+        """
+        energy, jump = self._load_terms
+        square = energy + float(self._inner(x, r + self.b - 2.0 * jump))
+        # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
+        resolved = square > 2.0 * error * float(np.sqrt(energy))
+        return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
+
+    def energy_resolution(self) -> float:
+        """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
+
+        Such a displacement is the small difference of K^-1 f and K^-1 B'x, which both have about
+        the norm of K^-1 f. The first call may need a solve with K, as in `energy_norm`.
+        """
+        energy, _ = self._load_terms
+        # 64 eps, and the root of it, since the energy is computed as a difference of energies
+        return max(float(np.sqrt(ROUNDING * energy)), self.b_error)
+
+    @cached_property
+    def _load_terms(self) -> tuple[float, Array]:
+        """a(u, u) without contact, and the jump (size,) due to forces alone. Collective.
+
+        The first access takes a solve if forces act and displacements are prescribed.
+        """
+        system, u = self._system, self._u
+        u.array = self._guess.load
+        energy = 2.0 * system.strain_energy(u)
+        if self._compliance.springs is not None:
+            energy += self._compliance.springs.energy(u)
+        jump = self.b + self.offset
+        if not system.driven_by_forces:
+            forces = system.assemble_forces()
+            u.set(0.0)
+            if forces.x.petsc_vec.norm() > 0.0:
+                self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
+            jump = self._jump.of_unknowns(u)
+        return max(energy, 0.0), jump  # the energy of a rigid motion is rounding
+
 
 #: A node counts as about to change its contact state if a change of its traction by at most the
 #: error of the tractions leads to another state. This number times the largest traction is the

@@ -19,28 +19,39 @@ from dolfinx_tresca.scene.friction import (
     DIRECTION_NAMES,
     Bound,
     Friction,
+    ScalarField,
+    invalid,
 )
-from dolfinx_tresca.scene.user_fields import ScalarField, invalid
-from dolfinx_tresca.solvers.friction_cones import Curve
+from dolfinx_tresca.solvers.feasible_set import Curve
 
 
 @dataclass(frozen=True)
-class NodalEllipses:
-    """The shapes of the friction ellipses at the nodes of a pair on this rank.
+class NodalBounds:
+    """Slip bounds c + min(F p, l) under the pressure p, at the nodes of a pair on this rank.
 
     Attributes:
-        direction: (n, 3) vectors of any length, whose tangential parts are the first axes.
-        shape: (n, 2) semi-axes along the first axis and across it, relative to the longer one.
+        constant: (n,) c [stress].
+        coefficient: (n,) F, the coefficient of friction.
+        limit: (n,) l [stress], the upper limit of the part F p; infinite without a limit.
+        shape: (n, 2) semi-axes of the friction ellipses along the first axis and across it,
+            relative to the longer one, which is these bounds; 1 for circles.
+        direction: (n, 3) vectors of any length, whose tangential parts are the first axes; None:
+            all ellipses are circles.
+        curve: F as a function of pressure and slip; None: F is the coefficient.
     """
 
-    direction: Array
+    constant: Array
+    coefficient: Array
+    limit: Array
     shape: Array
+    direction: Array | None = None
+    curve: Curve | None = None
 
 
-def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipses) -> PairOperators:
+def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -> PairOperators:
     """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
-    Along its axes an ellipse can be scaled to a disc (`FrictionDiscs`).
+    Along its axes an ellipse can be scaled to a disc (`friction_discs`).
 
     A node with a single tangential direction keeps this direction, and its slip bound is the
     semi-diameter of the ellipse along this direction. A node whose ellipse is a circle keeps its
@@ -50,14 +61,16 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, ellipses: NodalEllipse
     Args:
         V: the space of the displacement.
         pair: the operators of the pair.
-        ellipses: the friction ellipses.
+        bounds: the slip bounds at the nodes of the pair.
 
     Raises:
         InputError: a direction is not finite, is zero, or is normal to the surface.
     """
-    shape = np.where(ellipses.shape > ROUNDING, ellipses.shape, 0.0)
+    if bounds.direction is None:
+        return pair
+    shape = np.where(bounds.shape > ROUNDING, bounds.shape, 0.0)
     circular = shape[:, 0] == shape[:, 1]
-    axes = _axes(V, pair, np.where(circular[:, None], 0.0, ellipses.direction), circular)
+    axes = _axes(V, pair, np.where(circular[:, None], 0.0, bounds.direction), circular)
     node = pair.tangent_node
     second = np.flatnonzero(node[1:] == node[:-1]) + 1
     second = second[~circular[node[second]]]
@@ -127,45 +140,34 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
     return result
 
 
-@dataclass(frozen=True)
-class FrictionDiscs:
-    """Scaled tangential unknowns, in which each node's ellipse is a disc (docs/theory/coulomb.md).
+def friction_discs(node: Indices, semi_axes: Array, count: int) -> tuple[Array, Array, Mask]:
+    """Scale tangential unknowns such that each node's ellipse is a disc (docs/theory/coulomb.md).
 
     The projection onto a disc is explicit, but the projection onto an ellipse is not.
 
     For components t_i of the traction along semi-axes b_1 and b_2 the unknowns are t_i / stretch_i
     with stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius
     sqrt(b_1 b_2). If one semi-axis is zero, the disc of the node is an interval, from minus to plus
-    the other semi-axis.
+    the other semi-axis. Not collective.
 
-    Attributes:
-        stretch: (n_tangential,) ratio of traction to unknown [1].
-        radius: (n,) radius of the disc, relative to the longer semi-axis [1].
-        frictionless: (n_tangential,) whether a row has a zero bound, while the other row of its
-            node has a positive bound.
+    Args:
+        node: (n_tangential,) the node of each tangential row.
+        semi_axes: (n_tangential,) `PairOperators.semi_axes`.
+        count: number of nodes n.
+
+    Returns:
+        the stretch (n_tangential,), the ratio of traction to unknown [1]; the radius (n,) of the
+        disc, relative to the longer semi-axis [1]; and whether a row (n_tangential,) has a zero
+        bound, while the other row of its node has a positive bound.
     """
-
-    stretch: Array
-    radius: Array
-    frictionless: Mask
-
-    @classmethod
-    def of_ellipses(cls, node: Indices, semi_axes: Array, count: int) -> FrictionDiscs:
-        """Return the scaling for ellipses. Not collective.
-
-        Args:
-            node: (n_tangential,) the node of each tangential row.
-            semi_axes: (n_tangential,) `PairOperators.semi_axes`.
-            count: number of nodes n.
-        """
-        positive = semi_axes > 0.0
-        number = np.bincount(node[positive], minlength=count)
-        logarithms = np.bincount(node[positive], np.log(semi_axes[positive]), minlength=count)
-        radius = np.exp(logarithms / np.maximum(number, 1))
-        radius[node[number[node] == 0]] = 0.0
-        stretch = np.ones_like(semi_axes)
-        np.divide(semi_axes, radius[node], out=stretch, where=positive)
-        return cls(stretch, radius, ~positive & (number[node] > 0))
+    positive = semi_axes > 0.0
+    number = np.bincount(node[positive], minlength=count)
+    logarithms = np.bincount(node[positive], np.log(semi_axes[positive]), minlength=count)
+    radius = np.exp(logarithms / np.maximum(number, 1))
+    radius[node[number[node] == 0]] = 0.0
+    stretch = np.ones_like(semi_axes)
+    np.divide(semi_axes, radius[node], out=stretch, where=positive)
+    return stretch, radius, ~positive & (number[node] > 0)
 
 
 #: Names of the terms of a bound in error messages; laws have their own name for the constant term.
@@ -190,26 +192,6 @@ def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]
             sides = zip(bound, DIRECTION_NAMES, strict=True)
             result[term] = [(value, f"{name} {side}") for value, side in sides]
     return result
-
-
-@dataclass(frozen=True)
-class NodalBounds:
-    """Slip bounds c + min(F p, l) under the pressure p, at the nodes of a pair on this rank.
-
-    Attributes:
-        constant: (n,) c [stress].
-        coefficient: (n,) F, the coefficient of friction.
-        limit: (n,) l [stress], the upper limit of the part F p; infinite without a limit.
-        ellipses: friction ellipses, whose longer semi-axes are these bounds; None: the bounds are
-            the radii of circles.
-        curve: F as a function of pressure and slip; None: F is the coefficient.
-    """
-
-    constant: Array
-    coefficient: Array
-    limit: Array
-    ellipses: NodalEllipses | None = None
-    curve: Curve | None = None
 
 
 class SlipBounds:
@@ -284,11 +266,10 @@ class SlipBounds:
             bounds[name] = values.max(axis=1)
             if len(scalars) == 2:
                 shape = self._shape(values, TERMS[name])
-        ellipses = None
+        direction = None
         if terms.direction is not None:
             direction = self.values.vectors_at(terms.direction, nodes, DIRECTION)
-            ellipses = NodalEllipses(direction, shape)
-        return NodalBounds(**bounds, ellipses=ellipses, curve=terms.curve)
+        return NodalBounds(**bounds, shape=shape, direction=direction, curve=terms.curve)
 
     def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:
         """Check a curve's values at pressures (n,) and slips (n,) of this rank. Collective.

@@ -16,5 +16,5 @@ of the multipliers with multipliers c of its own, the rigid displacements.
 | U, c | `FloatingBodies.displacements`, `c` | responses to the springs, their coefficients |
 | G, S, e | `EqualityConstraints`, in `solvers` | equilibrium, softness, resultants of loads |
 
-Read first: `rigid_modes.weakly_resisted_modes`, `fixing.FixingSprings`, `equilibrium.Equilibrium`.
+Read first: `rigid_modes.weakly_resisted_modes`, `FixingSprings`, `equilibrium.Equilibrium`.
 """

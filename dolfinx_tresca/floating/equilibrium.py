@@ -27,10 +27,15 @@ from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
 from dolfinx_tresca.floating.rigid_modes import NAMED_PART, RigidBodyModes
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
-from dolfinx_tresca.solvers.constraints import EqualityConstraints, balance
+from dolfinx_tresca.scene.obstacle import RigidMotion
+from dolfinx_tresca.solvers.constraints import (
+    EqualityConstraints,
+    Reductions,
+    balance,
+    eigenpairs,
+    is_positive_definite,
+)
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.linear_algebra import Reductions, eigenpairs, is_positive_definite
 from dolfinx_tresca.solvers.problem import FrictionDeficit
 
 #: Contact must also balance the given loads increased by this fraction: exactly at the limit of
@@ -264,10 +269,7 @@ class FloatingBodies:
                 the message names the body and its motion, and the error's `motion` has the
                 displacements (owned degrees of freedom,) of all bodies.
         """
-        bodies, tools = self.modes.body, self.tools
-        if tools is not None:
-            owners = [self.modes.bodies.number + motion.pairs[0] for motion in tools.motions]
-            bodies = np.append(bodies, owners)
+        bodies, tools = self._bodies, self.tools
         carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
         carrying = scaled_rows(self.jumps, carries.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
@@ -275,27 +277,10 @@ class FloatingBodies:
         # compared for each body by itself, since jumps depend on the size and the mesh of a body
         largest = _largest_of_group(length, bodies)
         length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
-        resisted, k = self.stiffness.diagonal(), len(length)
-        floats = np.flatnonzero(resisted == 0.0)
-        by_size = (
-            1.0 / np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))[floats]
-        )
-        scaled = diags_array(by_size) @ gram[floats][:, floats] @ diags_array(by_size)
-        motions, more = _unresisted(csr_array(scaled), bodies[floats])
-        if motions.size:
-            moved = np.zeros((k, motions.shape[1]))
-            moved[floats] = by_size[:, None] * motions
-            motion = reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()])
-            raise MechanismError(
-                f"nothing holds {self.describe(moved)}{f'; nor {more} more' * (more > 0)}, "
-                "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
-                "add a soft spring to a, or give the contact friction."
-                + " Leave this motion of a tool out of free=."
-                * (tools is not None),
-                self.displacements @ motion,
-            )
+        self._check_resisted(gram, length, largest, reductions)
         # modes without jumps are scaled by the stiffness of the springs that hold them, which
         # together with an unstable K may be negative
+        resisted, k = self.stiffness.diagonal(), len(length)
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
         resultants, sizes = self.resultants(load)
@@ -303,33 +288,90 @@ class FloatingBodies:
             given = np.array([motion.force for motion in tools.motions])
             resultants[-len(given) :] = given
             sizes[-len(given) :] = np.abs(given)
-        values, own_sizes = factors * resultants, np.where(length > 0.0, factors * sizes, 0.0)
+        own_sizes = np.where(length > 0.0, factors * sizes, 0.0)
         of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
         coupled = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
         constraints = EqualityConstraints(
             columns=csr_array(self.jumps @ by_factor),
             softness=csr_array(by_factor @ self.stiffness @ by_factor),
-            values=values,
+            values=factors * resultants,
             sizes=_largest_of_group(own_sizes, coupled[bodies]),
             reductions=reductions,
             nodes=self.row_nodes,
         )
+        return Equilibrium(self._balanced(constraints, factors, feasible_set), self, factors)
+
+    @property
+    def _bodies(self) -> Indices:
+        """The body of each mode; each tool counts as a further body."""
+        if self.tools is None:
+            return self.modes.body
+        owners = [self.modes.bodies.number + motion.pairs[0] for motion in self.tools.motions]
+        return np.append(self.modes.body, owners)
+
+    def _check_resisted(
+        self, gram: csr_array, length: Array, largest: Array, reductions: Reductions
+    ) -> None:
+        """Check that contact resists all motions that K does not resist at all. Collective.
+
+        Args:
+            gram: (k, k) inner products of the jumps that contact resists.
+            length: (k,) lengths of these jumps, zero if they are small for their body.
+            largest: (k,) the largest length of the jumps of each mode's body.
+            reductions: object that computes sums over the ranks.
+
+        Raises:
+            MechanismError: contact does not resist a motion.
+        """
+        floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
+        by_size = (
+            1.0 / np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))[floats]
+        )
+        scaled = diags_array(by_size) @ gram[floats][:, floats] @ diags_array(by_size)
+        motions, more = _unresisted(csr_array(scaled), self._bodies[floats])
+        if motions.size:
+            moved = np.zeros((len(length), motions.shape[1]))
+            moved[floats] = by_size[:, None] * motions
+            motion = reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()])
+            raise MechanismError(
+                f"nothing holds {self.describe(moved)}{f'; nor {more} more' * (more > 0)}, "
+                "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
+                "add a soft spring to a, or give the contact friction."
+                + " Leave this motion of a tool out of free=."
+                * (self.tools is not None),
+                self.displacements @ motion,
+            )
+
+    def _balanced(
+        self, constraints: EqualityConstraints, factors: Array, feasible_set: FeasibleSet
+    ) -> EqualityConstraints:
+        """Return the equations, without the rounding of loads that contact cannot balance.
+
+        Collective.
+
+        Args:
+            constraints: the equations.
+            factors: (k,) see `Equilibrium`.
+            feasible_set: Lambda.
+
+        Raises:
+            MechanismError: no contact forces balance the loads.
+        """
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
-        if not balanced.satisfied:
-            most = 1e-8 * np.maximum(constraints.sizes, np.abs(values))  # more is no rounding
-            if balanced.unbounded or (np.abs(balanced.excess) > most).any():
-                motion = factors * balanced.shift
-                raise MechanismError(
-                    f"no contact forces balance the loads on {self.describe(motion)}. The "
-                    "loads pull it off what it touches, tip it over, or overcome friction there: "
-                    "look at their directions and at the friction, or hold the body by Dirichlet "
-                    "conditions or springs.",
-                    self.displacements @ motion,
-                )
-            # only rounding of the loads is missing
-            values = values + balanced.excess / (1.0 + LOAD_RESERVE)
-            constraints = replace(constraints, values=values)
-        return Equilibrium(constraints, self, factors)
+        if balanced.satisfied:
+            return constraints
+        most = 1e-8 * np.maximum(constraints.sizes, np.abs(constraints.values))
+        if balanced.unbounded or (np.abs(balanced.excess) > most).any():  # more than rounding
+            motion = factors * balanced.shift
+            raise MechanismError(
+                f"no contact forces balance the loads on {self.describe(motion)}. The "
+                "loads pull it off what it touches, tip it over, or overcome friction there: "
+                "look at their directions and at the friction, or hold the body by Dirichlet "
+                "conditions or springs.",
+                self.displacements @ motion,
+            )
+        values = constraints.values + balanced.excess / (1.0 + LOAD_RESERVE)
+        return replace(constraints, values=values)
 
 
 def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:

@@ -32,7 +32,7 @@ from dolfinx_tresca.guaranteed.cells import (
 from dolfinx_tresca.guaranteed.contact import ContactSurface
 from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
 from dolfinx_tresca.guaranteed.stars import Stars
-from dolfinx_tresca.scene.goal import ContactForce, NormalForce, checked_goal
+from dolfinx_tresca.scene.pair import ContactForce, NormalForce, checked_goal
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Force that a cell lacks, relative to the largest force on a cell, above which the displacement is

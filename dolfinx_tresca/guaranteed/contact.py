@@ -16,9 +16,9 @@ from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import OwnedCells, mean_products, require, spread
-from dolfinx_tresca.pairing.group import PairGroup
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, joined
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
+from dolfinx_tresca.pairing.undeformed import PairGroup
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import SideName

@@ -16,7 +16,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.dual.mesh_error import with_gradient
+from dolfinx_tresca.dual.accuracy import with_gradient
 from dolfinx_tresca.guaranteed.cells import (
     OwnedCells,
     mean_products,

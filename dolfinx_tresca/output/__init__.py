@@ -1,9 +1,9 @@
 """Output of problems and solutions: files for ParaView, pictures, and tables.
 
-A *block* is a list of Functions on one mesh: the volume, or the surface of a pair (`blocks_of`). A
-`Grid` is a block in VTK's layout, gathered on the first rank (`gather_grid`). Files, pictures and
-`to_pyvista` are made of grids; a `.pvd` lists the grids of each step of a series, and a step does
-not exist until the list names it.
+A `Grid` is one mesh with its fields in VTK's layout, gathered on the first rank (`gather_grid`):
+the volume, or the surface of a pair (`grids_of`). Files, pictures and `to_pyvista` are made of
+grids; a `.pvd` lists the grids of each step of a series, and a step does not exist until the list
+names it.
 
 A picture is a figure of matplotlib with a *panel* for the bodies and one for each pair. pyvista
 renders the *views* of bodies and surfaces, matplotlib draws all text and the chart of a contact
@@ -12,5 +12,5 @@ curve of 2D. A `Contact` is a surface gathered for its panel.
 A table is a list of `Row`s, names and values, which `print` and notebooks show. A report is tables
 and the picture on one page, with the versions of all software.
 
-Read first: `io.write`, `grid.gather_grid`, `plot.compose`.
+Read first: `files.SolutionWriter`, `files.gather_grid`, `plot.compose`.
 """

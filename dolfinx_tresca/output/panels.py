@@ -1,14 +1,17 @@
-"""The panels of a picture: titles, legends, colour bars, and the chart of a contact curve of 2D.
+"""The panels of a picture: views of bodies and of surfaces, and the chart of a contact curve of 2D.
 
-A panel is a `SubFigure` of matplotlib, which draws all text; places in it are in inches. The views
-that pyvista renders are in `views.py`.
+A panel is a `SubFigure` of matplotlib, which draws titles, legends, colour bars and charts; places
+in it are in inches. pyvista renders the views.
 """
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
 from textwrap import shorten
 from typing import Any
 
@@ -18,16 +21,29 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, depth_first_order
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.output.grid import Grid, gather_grid
+from dolfinx_tresca.output.files import Grid, gather_grid
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.solution.fields import STICKING, ContactState, SurfaceFields
-from dolfinx_tresca.units import Units
 
 LEFT = 0.15  #: inches between the left end of a panel and its title
 HEADER, FOOTER = 0.66, 0.62  #: inches for title and legend, and for a colour bar
 CURVE_COLOUR = "#c8102e"  #: colour of a contact curve and its pressure
 TANGENT_COLOUR = "#1f4e9c"  #: colour of traction and slip
 OPEN_COLOUR = "#e2e2e2"  #: colour of open surfaces
+_LOGGER = logging.getLogger("dolfinx_tresca")
+
+DPI = 200  #: pixels per inch of rendered views
+OBLIQUE = np.array([-0.38, -0.84, 0.38])  #: direction from which bodies are seen
+ALONG_Y, ALONG_Z = np.eye(3)[1:]  #: up in views of 2D; up in views of 3D
+OUTLINE, OPEN_LINE = "#6e6e6e", "#202020"  #: colours of undeformed edges, of open curves
+OBSTACLE_COLOUR = "#a9b8c6"  #: colour of obstacles
+
+#: VTK's numbers of Lagrange tetrahedra and hexahedra -> number and corners of the linear cells.
+LINEAR = {71: (10, 4), 72: (12, 8)}
+
+VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
+INVISIBLE = 0.004  #: distance that is hardly visible, divided by the length of the model
+SAMPLES = 300_000  #: approximate number of points at which the distance of an obstacle is computed
 
 
 @dataclass(frozen=True)
@@ -192,15 +208,15 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     return curves
 
 
-def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
+def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
     """Draw pressure, traction and slip against arc length. Not collective.
 
     Args:
         panel: the panel of the picture.
         contact: the contact curve.
-        units: units of length and stress.
+        length: unit of length, or "".
+        stress: unit of stress, or "".
     """
-    length, stress = (units.length, units.stress) if units else ("", "")
     values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
     charts = [(["pressure"], "contact pressure", stress)]
     if "slip" in values:
@@ -235,3 +251,296 @@ def draw_curve(panel: Any, contact: Contact, units: Units | None) -> None:
     all_axes[-1].set_xlabel(labelled("arc length", length))
     panel.align_ylabels(all_axes)
     write_header(panel, title, legend)
+
+
+@contextmanager
+def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
+    """Yield a plotter of pyvista; put the largest view of all that is drawn into a panel.
+
+    The view has no perspective. Arrows at its lower left show the coordinate directions.
+
+    Args:
+        panel: the panel.
+        normal: (3,) direction to the viewer.
+        up: (3,) direction that is upward in the view.
+    """
+    import pyvista
+
+    theme = pyvista.themes.DocumentTheme()
+    theme.allow_empty_mesh, theme.show_scalar_bar = True, False
+    with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
+        yield plotter
+        right = np.cross(up, normal)
+        directions = np.array([right, np.cross(normal, right)])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        points = np.concatenate([mesh.points for mesh in plotter.meshes])
+        across, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
+        width, height = size_of(panel)
+        height -= HEADER + FOOTER
+        plotter.enable_parallel_projection()
+        plotter.view_vector(normal, viewup=up)
+        half_height = max(upward / 0.96, across / 0.92 * height / width)
+        plotter.camera.parallel_scale = half_height or 1.0
+        plotter.enable_anti_aliasing("msaa", multi_samples=8)
+        pixels = [round(DPI * width), round(DPI * height)]
+        image = plotter.screenshot(return_img=True, window_size=pixels)
+    view = axes_at(panel, 0.0, FOOTER, width, height)
+    view.imshow(image, aspect="auto", interpolation="none")
+    view.set_axis_off()
+    shape = {"arrowstyle": "<|-", "mutation_scale": 5, "lw": 0.8, "shrinkA": 1, "shrinkB": 0}
+    arrow = {"ha": "center", "va": "center", "fontsize": 8, "arrowprops": shape}
+    arrow |= {"xycoords": "subfigure points", "textcoords": "offset points"}
+    start = 16.0 - 21.0 * np.minimum(directions.min(axis=1), 0.0)
+    for name, end in zip("xyz", 21.0 * directions.T, strict=True):
+        if np.linalg.norm(end) > 4.0:
+            view.annotate(name, start, end, annotation_clip=False, **arrow)
+
+
+def skin(grid: Any) -> Any:
+    """Return the outer faces of a grid; faces of degree 2 are cut into pieces of half the length.
+
+    This is `extract_surface` of pyvista, whose newer versions require an argument that older
+    versions do not have.
+    """
+    import pyvista
+
+    surface = import_module("vtkmodules.vtkFiltersGeometry").vtkDataSetSurfaceFilter()
+    surface.SetInputData(grid)
+    surface.Update()
+    return pyvista.wrap(surface.GetOutput())
+
+
+def straight(volume: Grid) -> Grid:
+    """Return a grid with the corners of its cells alone.
+
+    Of tetrahedra and hexahedra of degree 2 VTK also draws faces between two cells if these have the
+    nodes of the face in different orders, and then finds no edges of the bodies.
+    """
+    kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
+    cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
+    return replace(volume, cells=cells, cell_types=np.full(len(cells), kind))
+
+
+def draw_bodies(
+    panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
+) -> None:
+    """Draw the deformed bodies, the contact curves of 2D, and rigid obstacles.
+
+    Args:
+        panel: the panel of the picture.
+        volume: the mesh with the displacement.
+        contacts: the contact surfaces of all pairs.
+        scale: magnification of the displacement; None: `magnification` chooses it.
+        unit: unit of length, or "".
+    """
+    scale = magnification(volume, contacts) if scale is None else scale
+    flat = volume.dim == 2
+    normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)
+    name, bodies = next(iter(volume.values)), volume.to_pyvista()
+    bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
+    limits = colour_range(bodies.point_data["|u|"])
+    deformed = bodies.warp_by_vector(name, factor=scale)
+    faces, lift = skin(deformed), 4e-3 * bodies.length * normal
+    # orientations of cells may differ: no creases in 2D, oriented faces in 3D
+    surface = skin(straight(volume).to_pyvista())
+    surface = surface.clean() if flat else surface.compute_normals(split_vertices=False)
+    kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
+    outline = surface.extract_feature_edges(40.0, **kinds)
+    near = np.concatenate([bodies.points, faces.points])
+    obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
+    legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
+    with view_in(panel, normal, up) as plotter:
+        light = {"lighting": not flat, "ambient": 0.35, "diffuse": 0.7}
+        plotter.add_mesh(faces, scalars="|u|", cmap="viridis", clim=limits[:2], **light)
+        edges = deformed.extract_all_edges().translate(0.4 * lift)
+        plotter.add_mesh(edges, color="white", opacity=0.3, line_width=1.0, lighting=False)
+        plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
+        if any([draw_obstacle(plotter, obstacle, near, flat) for obstacle in obstacles.values()]):
+            legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
+        if flat and contacts:
+            for contact in contacts:
+                draw_line(plotter, contact, scale, 2.0 * lift)
+            legend.append(handle("contact", CURVE_COLOUR, linewidth=2.8))
+            legend.append(handle("open", OPEN_LINE, linewidth=0.8))
+            legend.append(handle("start", OPEN_LINE, "o"))
+    draw_bar(panel, "displacement", unit, "viridis", limits)
+    title = "Displacement" + (f", magnified {scale:,.12g} times" if scale != 1.0 else "")
+    write_header(panel, title, legend)
+
+
+def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
+    """Return a round magnification of the displacement u, at least 1, that shows the deformation.
+
+    At x + scale u, surfaces whose gap d has closed would overlap by (scale - 1) d, and the sides of
+    an initial overlap (a press fit) would be apart. The scale keeps these distances, and overlaps
+    of open surfaces, below `INVISIBLE`. If the displacement itself would then be invisible, it is
+    drawn without magnification.
+    """
+    length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
+    largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
+    if largest <= np.finfo(float).tiny * length:  # nothing moves
+        return 1.0
+    scale = VISIBLE * length / largest
+    for contact in contacts:
+        values = contact.grid.values
+        gap = np.where(values["pressed"] > 0.0, 0.0, values["gap"])
+        closed = values["initial_gap"] - gap
+        closed = np.where(values["pressed"] > 0.0, np.abs(closed), closed)
+        room = (INVISIBLE * length + np.maximum(gap, 0.0))[closed > 0.0] / closed[closed > 0.0]
+        scale = min(scale, 1.0 + float(room.min(initial=math.inf)))
+    if scale < max(1.0, 2.0 * INVISIBLE * length / largest):
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(scale))
+    return max(digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= scale + 1e-9)
+
+
+def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
+    """Draw an obstacle near points.
+
+    In 2D all of it is drawn, where its signed distance is negative. In 3D its surface is drawn. The
+    sides that are seen from within the obstacle are transparent, so that obstacles in front of the
+    points do not hide them.
+
+    Args:
+        plotter: a plotter of pyvista.
+        obstacle: the obstacle to draw.
+        points: (n, 3) points of the bodies [length].
+        flat: whether the bodies are in the plane.
+
+    Returns:
+        whether the surface of the obstacle is near the points, and its distance can be computed.
+    """
+    import pyvista
+
+    dim = 2 if flat else 3
+    length = float(np.linalg.norm(np.ptp(points, axis=0)))
+    margin = 0.08 * length * (np.arange(3) < dim)
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    spacing = float(np.prod((high - low)[:dim]) / SAMPLES) ** (1.0 / dim)
+    counts = np.ceil((high - low) / spacing).astype(int) + 1
+    grid = pyvista.ImageData(dimensions=counts, spacing=3 * (spacing,), origin=low)
+    try:
+        distance = obstacle.distance(np.array(grid.points))
+    except Exception as error:  # the user's function may fail away from the surface
+        _LOGGER.warning("%s is not in the picture: its signed distance fails: %s", obstacle, error)
+        return False
+    if not distance.min() < 0.0 <= distance.max():
+        return False
+    grid.point_data["distance"] = distance
+    if flat:
+        inside = grid.clip_scalar(scalars="distance", value=0.0, invert=True)
+        below = inside.translate((0.0, 0.0, -0.01 * length))
+        plotter.add_mesh(below, color=OBSTACLE_COLOUR, lighting=False)
+        return True
+    # normals point to where distances grow
+    sides = {"auto_orient_normals": False, "consistent_normals": False}
+    surface = grid.contour([0.0]).compute_normals(cell_normals=False, **sides)
+    light = {"color": OBSTACLE_COLOUR, "smooth_shading": True, "ambient": 0.4, "diffuse": 0.6}
+    plotter.add_mesh(surface, culling="front", **light)
+    plotter.add_mesh(surface, culling="back", opacity=0.15, **light)
+    return True
+
+
+def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None:
+    """Draw a contact curve on the deformed bodies: thick and red where it is pressed.
+
+    A dot and the number of the pair, if there are several, mark the start of the curve.
+    """
+    curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale).translate(lift)
+    pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
+    plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
+    plotter.add_mesh(pressed, color=CURVE_COLOUR, line_width=5.6, lighting=False)
+    start = curve.points[unrolled(contact.grid)[0][0][:1]]
+    dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
+    plotter.add_points(start, color=OPEN_LINE, **dot)
+    if contact.label:
+        box = {"shape_color": CURVE_COLOUR, "shape_opacity": 1.0, "always_visible": True}
+        text = {"text_color": "white", "font_size": 24, "bold": False, "show_points": False}
+        plotter.add_point_labels(start, [contact.label], **text, **box)
+
+
+def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None:
+    """Draw the facets that may touch, seen along their mean normal, or obliquely if closed.
+
+    Other facets, such as the sides and the top of a block whose whole boundary has the tag, would
+    hide the facets that may touch.
+
+    Args:
+        panel: the panel of the picture.
+        contact: the contact surface.
+        length: unit of length, or "".
+        stress: unit of stress, or "".
+    """
+    import pyvista
+
+    surface = with_normals(contact.grid.to_pyvista())
+    contact_normals = surface.point_data_to_cell_data()["normal"]
+    # less than this cosine is at the side of a body; edges of rounded surfaces have more
+    facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > 0.15
+    surface = with_normals(surface.extract_cells(facing))
+    normal, up = direction(surface)
+    lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface
+    values, pressed = surface.point_data, surface.point_data["pressed"] > 0.0
+    shown = np.append(values["pressure"][pressed], [] if pressed.all() else [0.0])
+    limits = colour_range(shown, clip=True)
+    light: dict[str, Any] = {"smooth_shading": True, "ambient": 0.65, "diffuse": 0.4}
+    if np.abs(surface.cell_data["Normals"] @ normal).min() > 0.98:  # flat: colours as in the bar
+        light = {"lighting": False}
+    least, most = 150, 350  # nodes for which arrows have their largest and least size
+    spacing = math.sqrt(surface.area / np.clip(surface.n_points, least, most))
+    closed, opened = surface.clip_scalar(scalars="pressed", value=0.5, invert=False, both=True)
+    legend = [handle("open", OPEN_COLOUR, "s", markersize=8.0)] if opened.n_points else []
+    with view_in(panel, normal, up) as plotter:
+        if closed.n_points:
+            colours = {"scalars": "pressure", "cmap": "YlOrRd", "clim": limits[:2]}
+            plotter.add_mesh(closed, **colours, **light)
+        plotter.add_mesh(opened, color=OPEN_COLOUR, **light)
+        edges = surface.extract_all_edges().translate(0.2 * lift)
+        plotter.add_mesh(edges, color="white", opacity=0.5, line_width=1.0, lighting=False)
+        lengths = np.linalg.norm(values.get("slip", np.zeros((surface.n_points, 3))), axis=1)
+        largest = float(lengths[pressed if pressed.any() else slice(None)].max())
+        if largest > 0.0:
+            # shorter arrows on open parts, which may have moved by far more
+            values["slip"] *= np.minimum(1.0, largest / np.maximum(lengths, largest))[:, None]
+            apart = 0.9 * spacing / surface.length if surface.n_points > most else None
+            scale = {"scale": "slip", "factor": 1.3 * spacing / largest, "tolerance": apart}
+            arrows = surface.translate(3.0 * lift).glyph(orient="slip", **scale)
+            colours = {"scalars": "pressed", "cmap": ["#707070", "black"], "clim": (0.0, 1.0)}
+            plotter.add_mesh(arrows, lighting=False, **colours)
+            text = f"{contact.slip_name}, at most {largest:.3g} {length}".rstrip()
+            legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
+        if (values["sticks"] > 0.0).any():
+            places = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
+            size = 0.17 * math.sqrt(surface.area / max(surface.n_points, least))
+            disc = pyvista.Disc(inner=0.0, outer=size, normal=normal, c_res=20)
+            discs = places.glyph(geom=disc, orient=False, scale=False)
+            plotter.add_mesh(discs, color="black", lighting=False)
+            legend.append(handle("sticks", "black", "o"))
+    if pressed.any():
+        name = f"contact pressure {contact.label}".rstrip()
+        draw_bar(panel, name, stress, "YlOrRd", limits)
+    write_header(panel, f"Contact surface{contact.title}", legend)
+
+
+def with_normals(grid: Any) -> Any:
+    """Return the surface of a grid with normals of its cells and points, all on one side of it."""
+    return skin(grid).compute_normals(consistent_normals=True, split_vertices=False)
+
+
+def direction(surface: Any) -> tuple[Array, Array]:
+    """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
+
+    The upward direction is along z or y, or along the longer side of a long surface. A closed
+    surface has no mean normal, and is seen obliquely.
+    """
+    sized = surface.compute_cell_sizes(length=False, volume=False)
+    mean = sized.cell_data["Normals"].T @ sized.cell_data["Area"]
+    if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: no side is better
+        return OBLIQUE, ALONG_Z
+    normal = mean / np.linalg.norm(mean)
+    normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
+    up = ALONG_Z if abs(normal[2]) < 0.9 else ALONG_Y
+    across = np.cross(up, normal)
+    up = up - (up @ normal) * normal
+    higher = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ across)
+    return normal, -across if higher else up

@@ -20,11 +20,11 @@ from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.output import views
-from dolfinx_tresca.output.grid import ROOT, Grid, gather_grid
+from dolfinx_tresca.output import panels
+from dolfinx_tresca.output.files import ROOT, Grid, gather_grid, optional
 from dolfinx_tresca.output.panels import Contact, draw_curve, gather_contact
 from dolfinx_tresca.solution.fields import SurfaceFields
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 SUFFIXES = (".png", ".jpg", ".tif", ".svg", ".pdf")
 
@@ -52,7 +52,7 @@ def plot(
     The bodies are drawn with the magnified displacement u. Colours show the length of u, lines the
     undeformed edges. Rigid obstacles near the bodies are drawn, too; in 3D their sides that are
     seen from within are transparent, so that they do not hide the bodies. The magnification that
-    `views.magnification` chooses is so small that surfaces which have met, and the sides of an
+    `panels.magnification` chooses is so small that surfaces which have met, and the sides of an
     initial overlap, also touch in the picture.
 
     Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
@@ -107,19 +107,12 @@ def plot(
         if volume is None:
             return None
         contacts = [contact for contact in gathered if contact is not None]
-        volume.to_pyvista()  # raises an error without pyvista
-        try:
-            import matplotlib.style
-        except ImportError as error:
-            raise ContactError(
-                "pictures need matplotlib: install python3-matplotlib (Debian) or matplotlib "
-                "(conda, pip)."
-            ) from error
+        optional("pyvista")
+        style = optional("matplotlib.style")
         picture = io.BytesIO()
-        kind = suffix[1:]
-        with matplotlib.style.context(STYLE), display_for_pictures():
+        with style.context(STYLE), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
-            figure.savefig(picture, format=kind, dpi=views.DPI)
+            figure.savefig(picture, format=suffix[1:], dpi=panels.DPI)
         if name is None:
             import PIL.Image
 
@@ -143,12 +136,13 @@ def compose(
     left, right = halves
     if count > 2:
         left = left.subfigures(2, 1, height_ratios=(2, count - 2), squeeze=False)[0, 0]
-    views.draw_bodies(left, volume, contacts, scale, units.length if units else "")
-    draw = draw_curve if volume.dim == 2 else views.draw_surface
+    length, stress = (units.length, units.stress) if units else ("", "")
+    panels.draw_bodies(left, volume, contacts, scale, length)
+    draw = draw_curve if volume.dim == 2 else panels.draw_surface
     for panel, contact in zip(
         right.subfigures(count, 1, squeeze=False)[:, 0], contacts, strict=True
     ):
-        draw(panel, contact, units)
+        draw(panel, contact, length, stress)
     return figure
 
 
@@ -169,7 +163,7 @@ def display_for_pictures() -> Iterator[None]:
             if renders_off_screen():
                 variable, value = WINDOW, "vtkEGLRenderWindow"
             else:
-                variable, value = "DISPLAY", stack.enter_context(x_server())
+                variable, value = "DISPLAY", x_server(stack)
             os.environ[variable] = value
             stack.callback(os.environ.pop, variable)
         yield
@@ -182,9 +176,8 @@ def renders_off_screen() -> bool:
     return find_library("EGL") is not None and tuple(pyvista.vtk_version_info) >= (9, 5)
 
 
-@contextmanager
-def x_server() -> Iterator[str]:
-    """Run the X server Xvfb within a `with` block, which gets its DISPLAY.
+def x_server(stack: ExitStack) -> str:
+    """Run the X server Xvfb until a stack ends, and return its DISPLAY.
 
     Raises:
         ContactError: Xvfb is not installed, or it fails.
@@ -200,11 +193,10 @@ def x_server() -> Iterator[str]:
     # picture, and meanwhile it refuses clients or disconnects them.
     options = ["-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
     command = [program, "-displayfd", "1", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
-        try:
-            number = server.stdout.readline().decode().strip() if server.stdout else ""
-            if not number:
-                raise ContactError("Xvfb, the display for the picture, did not start.")
-            yield f":{number}"
-        finally:
-            server.terminate()
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    stack.enter_context(server)
+    stack.callback(server.terminate)
+    number = server.stdout.readline().decode().strip() if server.stdout else ""
+    if not number:
+        raise ContactError("Xvfb, the display for the picture, did not start.")
+    return f":{number}"

@@ -1,4 +1,4 @@
-"""A report of a solution as one HTML page, and the versions of all software for bug reports."""
+"""The rows of `print(problem)` and `print(solution)`, the report as one HTML page, and versions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import io
 import os
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from importlib import import_module, metadata
 from pathlib import Path
@@ -17,14 +18,19 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 import dolfinx
 
-from dolfinx_tresca._base.parallel import RECENT_WARNINGS
-from dolfinx_tresca.output.summary import significant, vector
-from dolfinx_tresca.stiffness.blas import BLAS, loaded_libraries, reference_blas
-from dolfinx_tresca.table import Row, as_html, as_text
-from dolfinx_tresca.units import with_unit
+from dolfinx_tresca._base.parallel import RECENT_WARNINGS, UNBROKEN, reduce_array
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.scene.friction import Friction
+from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.evaluation import Evaluation, PairState
+from dolfinx_tresca.solution.forces import BoltForce
+from dolfinx_tresca.stiffness.choice import BLAS, loaded_libraries, reference_blas
+from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.table import Quantity, Row, Units, abridged, as_html, as_text, with_unit
 
 #: Packages of PETSc that factor or precondition K.
 SOLVERS = ("mumps", "cholmod", "superlu_dist", "hypre")
@@ -49,6 +55,183 @@ text { font-size: 12px; text-anchor: middle; paint-order: stroke; stroke: white;
 #: The graph shows forces of at least this fraction of the largest one, between at most this number
 #: of bodies: the names of more bodies would cover each other.
 SHOWN_FORCE, MOST_BODIES = 1e-3, 24
+
+
+@dataclass(frozen=True)
+class ProblemSummary:
+    """Sizes of a problem, over all ranks.
+
+    Attributes:
+        dofs: degrees of freedom of the displacement.
+        free_dofs: n, degrees of freedom of the displacement that are not prescribed.
+        contact_nodes: m, nodes that carry multipliers.
+        size_rows: the rows that do not belong to pairs.
+        pairs: for each pair: the pair with the kind of its pairing and its number of nodes, as
+            text; the range of its gap, as text; and its law.
+    """
+
+    dofs: int
+    free_dofs: int
+    contact_nodes: int
+    size_rows: tuple[Row, ...]
+    pairs: tuple[tuple[str, str, Friction], ...]
+
+    @classmethod
+    def from_system(
+        cls, system: LinearSystem, pairs: Sequence[ContactPair], jump: JumpOperator
+    ) -> ProblemSummary:
+        """Count cells, unknowns and contact nodes of a problem. Collective."""
+        mesh, comm = system.V.mesh, system.comm
+        cells = mesh.topology.index_map(mesh.topology.dim).size_global
+        operators = [rows.operators for rows in jump.by_pair]
+        own = [int(system.moves.sum()), sum(len(pair.nodes) for pair in jump.pairs)]
+        counts = reduce_array(comm, [*own, *(len(pair.nodes) for pair in operators)])
+        texts = []
+        for pair, pair_operators, nodes in zip(pairs, operators, counts[2:], strict=True):
+            kind = "mortar" if pair.obstacle is None else "obstacle"
+            distance = pair_operators.gap
+            distance = np.where(np.abs(distance) > 1e-12 * pair_operators.sizes, distance, 0.0)
+            extremes = distance.min(initial=np.inf), (-distance).min(initial=np.inf)
+            least, negated = reduce_array(comm, extremes, MPI.MIN)
+            gap = f"gap {least:.3g}" + f" to {-negated:.3g}" * bool(least != -negated)
+            texts.append((f"{pair}, {kind}: {nodes} nodes", gap, pair.friction))
+        dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
+        free_dofs, contact_nodes = int(counts[0]), int(counts[1])
+        kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
+        count = system.saddle_size
+        beside = f", beside {count} unknowns of other kinds" if count else ""
+        size_rows = (
+            ("mesh", f"{cells} cells ({kind}), MPI ranks: {comm.size}"),
+            ("displacements", f"{dofs}, {free_dofs} of them free{beside}"),
+            ("contact nodes", f"{contact_nodes}"),
+        )
+        return cls(dofs, free_dofs, contact_nodes, size_rows, tuple(texts))
+
+    def rows(self, units: Units | None) -> list[Row]:
+        """Return names and values. Not collective."""
+        pair_rows = [
+            ("  pair", f"{pair}, {with_unit(gap, units, 'length')}, {law}")
+            for pair, gap, law in self.pairs
+        ]
+        return [*self.size_rows, *abridged(pair_rows, "pairs")]
+
+
+def figures(values: npt.ArrayLike, error: float) -> str:
+    """Return the text of a number or a vector, with as many digits as its error justifies: 1 to 8.
+
+    Args:
+        values: number or vector.
+        error: error relative to the number, or to the largest component.
+    """
+    digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
+    size = float(np.abs(values).max())
+    places = digits - 1 - int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
+    # + 0.0: components that are rounded to zero have no sign
+    texts = [f"{round(float(x), places) + 0.0:.{digits}g}" for x in np.atleast_1d(values)]
+    components = f",{UNBROKEN}".join(texts)
+    return f"({components})" if np.ndim(values) else components
+
+
+def _may_be_zero(results: Evaluation) -> bool:
+    """Return whether no node is pressed or bonded and the error is as large as the solution."""
+    counts = results.counts
+    return counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
+
+
+def error_rows(results: Evaluation) -> list[Row]:
+    """Return the errors of the iteration and of the mesh."""
+    kind = "at most" if results.bound_is_rigorous else "about"
+    bound = f"{kind} {results.energy_error_bound:.1e} of the solution's norm"
+    if results.energy_error_bound == 0.0:
+        bound = "zero to rounding"
+    elif _may_be_zero(results):
+        return [("energy error", "as large as the solution, which may be zero")]
+    elif np.isinf(results.energy_error_bound):
+        bound = "not bounded, since constraints are dependent: more than nodes have free directions"
+    rows = [("energy error", bound)]
+    if results.bound_error > 0.0:
+        rows.append(("slip bounds", f"changing by about {results.bound_error:.1e} of the largest"))
+    if results.discretisation_error is not None:
+        rows.append(("mesh error", f"about {results.discretisation_error:.1e} of it"))
+    return rows
+
+
+def contact_rows(
+    results: Evaluation, units: Units | None, bolts: Mapping[str, BoltForce]
+) -> list[Row]:
+    """Return the rows of the contact, with the digits that the error of nodal values justifies."""
+    counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
+    dim = 3 if results.axisymmetric else dim  # forces on whole rings
+    scale = 0.0 if _may_be_zero(results) else 1.0  # relative errors leave rounding all its digits
+    has_friction = any(surface.traction is not None for surface in results.surfaces)
+    has_history = any(surface.slip_increment is not surface.slip for surface in results.surfaces)
+
+    def nodes(count: int, stick: int, idle: int = 0) -> str:
+        states = f": {stick} stick, {count - stick - idle} slip"
+        return f"{count}" + (states if has_friction and count > idle else "")
+
+    def text(value: npt.ArrayLike, quantity: Quantity, error: float = results.local_error) -> str:
+        return with_unit(figures(value, error), units, quantity, dim).replace(" ", UNBROKEN)
+
+    def opening_of(pair: PairState) -> str:
+        is_open = pair.pressed < pair.nodes and scale * pair.opening > 0.0
+        return f", opens by up to {text(pair.opening, 'length')}" if is_open else ""
+
+    states = results.pair_states
+    opening = opening_of(states[0]) if len(states) == 1 else ""
+    open_nodes = counts.nodes - counts.contact - counts.bonded
+    rows = [
+        ("contact nodes", f"{counts.nodes}"),
+        ("  pressed", nodes(counts.contact, counts.contact_stick)),
+        ("  open", nodes(open_nodes, counts.stick - counts.contact_stick, counts.idle) + opening),
+    ]
+    if counts.bonded:
+        rows.append(("  bonded", f"{counts.bonded}"))
+    if counts.undecided:
+        why = "of these: at the limit of their state, within the error"
+        rows.append(("  undecided", f"{counts.undecided} {why}"))
+    rows.append(("peak pressure", text(scale * results.peak_pressure, "stress")))
+    if has_friction:
+        slip = text(results.greatest_slip, "length")
+        path = f" in this step, {text(results.greatest_total_slip, 'length')} along its path"
+        rows.append(("greatest slip", slip + (path if has_history else "")))
+    if has_history:
+        step, total = (text(x, "energy") for x in (results.dissipation, results.total_dissipation))
+        rows.append(("dissipation", f"{step} in this step, {total} so far"))
+    forces = [text(scale * r.force, "force") for r in results.pair_resultants]
+    normal = f"{text(scale * results.normal_force, 'force')} normal"
+    if len(forces) == 1:
+        rows.append(("force", f"{normal}, {forces[0]} on the secondary side"))
+    else:
+        rows.append(("force", f"{normal}; on the secondary side of each pair:"))
+        pair_rows = []
+        for surface, force, pair in zip(results.surfaces, forces, states, strict=True):
+            state = f"{pair.pressed} of {pair.nodes} pressed{opening_of(pair)}"
+            pair_rows.append(("", f"{surface.name}: {force}, {state}"))
+        rows += abridged(pair_rows, "pairs")
+    if len(results.between_bodies) > 1:
+        names = results.body_names
+        between = [
+            ("", f"{names[i]} by {names[j]}: {text(scale * resultant.force, 'force')}")
+            for (i, j), resultant in results.between_bodies.items()
+        ]
+        rows.append(("on bodies", f"{len(between)} pairs of bodies push each other:"))
+        rows += abridged(between, "pairs of bodies")
+    for name, resultant in results.reactions.items():
+        moment = text(scale * resultant.moment, "energy")
+        force = text(scale * resultant.force, "force")
+        rows.append(("support", f"{name}: {force}, moment {moment}"))
+    bolt_rows = [
+        ("bolt", f"{name}: {text(bolt.force, 'force')}, change {text(bolt.change, 'force')}")
+        for name, bolt in bolts.items()
+    ]
+    rows += abridged(bolt_rows, "bolts")
+    primal, dual = results.primal_energy, results.dual_energy
+    # both energies get enough digits to be distinguished
+    apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
+    energies = [text(energy, "energy", apart) for energy in (primal, dual)]
+    rows.append(("energy", f"{energies[0]} primal, {energies[1]} dual"))
+    return rows
 
 
 def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
@@ -88,7 +271,7 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
         values = [step.normal_force, step.peak_pressure, step.total_dissipation]
         values += [step.bolts[name].force for name in bolts]
         reactions = [step.reactions.get(name) for name in supports]
-        texts = [vector(r.force, step.local_error) if r else "" for r in reactions]
+        texts = [figures(r.force, step.local_error) if r else "" for r in reactions]
         rows.append([str(number), step.status.name, *(f"{x:.5g}" for x in values), *texts])
     return rows
 
@@ -118,7 +301,7 @@ def force_graph(solution: Any) -> str:
             f'<line x1="{x[i]:.0f}" y1="{y[i]:.0f}" x2="{x[j]:.0f}" y2="{y[j]:.0f}" '
             f'stroke="#7a93a8" stroke-width="{1.0 + 5.0 * size / largest:.1f}"/>'
         )
-        label = with_unit(significant(size, solution.local_error), solution.units, "force", dim)
+        label = with_unit(figures(size, solution.local_error), solution.units, "force", dim)
         texts.append((0.7 * x[i] + 0.3 * x[j], 0.7 * y[i] + 0.3 * y[j], label))
     for body in shown:
         lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')

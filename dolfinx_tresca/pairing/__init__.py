@@ -8,14 +8,18 @@ Nouns:
 
 - `PairGroup`: pairs whose sides are parts of the same surfaces, so that a node has one multiplier.
 - `Undeformed`: the group with the facets of both sides, which are displaced for each later pairing.
-- `Facets`, `SurfaceNodes`: a surface on this rank, and its corners, which may carry multipliers;
-  `halos` adds the facets of other ranks that these depend on (all three in `search/`).
+- `Facets`, `SurfaceNodes`: a surface on this rank with the shape functions of its facets, and its
+  corners, which may carry multipliers, with an entry for each smooth patch (`facets.py`).
+- `Pieces`: the straight pieces into which curved facets are cut, and the search for those along
+  normals; `halos` finds those of other ranks, too (`pieces.py`).
+- `Visibility`, `SelfContact`: what is hidden by a body; on a surface that touches itself, which
+  facets may meet, and which of two is secondary (`visibility.py`).
 - `SmoothSurface`: the surface that facets approximate; the contact normal follows from how both
   sides turn (`contact_normal.py`, which derives the rule).
 - `FacetIntegrals`: integrals over the parts of facets that face the other side: `MortarIntegrals`
   over the overlap of both surfaces, `obstacle_integrals` over facets that face an obstacle.
 - `PairOperators`: N, T, gaps and areas at the nodes of a pair that carry multipliers
-  (`multipliers.py`); `couple` computes them. `ContactOperators` shows them to users, and transfers
+  (`operators.py`); `couple` computes them. `ContactOperators` shows them to users, and transfers
   fields and loads between the sides.
 
 Symbols: the hat functions phi are `hats`, the dual basis psi is `dual`, the projection P from the
@@ -26,5 +30,6 @@ and gap - N u of it remains.
 All that is computed here follows from the positions of nodes: the only state is `Undeformed`, which
 `PairOperators` carries from one pairing to the next and which is never changed.
 
-Read first: `pair_surfaces._pair`, `coupling.couple`, `mortar_integrals.MortarIntegrals`.
+Read first: `facets.Facets`, `pair_surfaces._pair`, `coupling.couple`,
+`mortar_integrals.MortarIntegrals`.
 """

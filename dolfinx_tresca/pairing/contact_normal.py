@@ -19,14 +19,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, cross
-from dolfinx_tresca.pairing.search.facets import (
-    MESH_ROUNDING,
-    SurfaceNodes,
-    lagrange_points,
-    nodes_round,
-)
-from dolfinx_tresca.pairing.search.tagged import normals_at, offsets_at
+import basix
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, unit
+from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
 #: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot
@@ -61,25 +57,20 @@ FLAT_ANGLE = 1e-3
 TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 
-def contact_normals(
-    own: Array,
-    partner: Array,
-    own_turn: Array,
-    partner_turn: Array,
-) -> Array:
-    """Return the contact normals (n, 3) at points of the secondary side. Not collective.
+def contact_normals(own: Array, partner: Array, own_turn: Array, partner_turn: Array) -> Array:
+    """Return the contact normals (..., 3) at points of the secondary side. Not collective.
 
     Args:
-        own: (n, 3) outward unit normals of the secondary side.
-        partner: (n, 3) outward unit normals of the primary side at the opposite points.
-        own_turn: (n,) angles by which the normals of the secondary side turn over their facets
+        own: (..., 3) outward unit normals of the secondary side.
+        partner: (..., 3) outward unit normals of the primary side at the opposite points.
+        own_turn: (...) angles by which the normals of the secondary side turn over their facets
             [rad].
-        partner_turn: (n,) angles by which the normals of the primary side turn [rad].
+        partner_turn: (...) angles by which the normals of the primary side turn [rad].
     """
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
-    share = (partner_square / (square + partner_square))[:, None]  # of the own normal
+    share = (partner_square / (square + partner_square))[..., None]  # of the own normal
     normals = share * own - (1.0 - share) * partner
-    length = np.linalg.norm(normals, axis=1)[:, None]
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.asarray(np.divide(normals, length, out=own.copy(), where=length > CANCELLED))
 
 
@@ -101,6 +92,7 @@ class SmoothSurface:
     Facets with curved edges (degree 2) have no height, and normals of their own.
 
     Attributes:
+        facets: the facets.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans; next to a kink it is zero.
@@ -112,7 +104,7 @@ class SmoothSurface:
             least a right angle where the smooth surface ends [rad]: normals are less accurate at
             both, and the partner's decide. The surface ends at sharp edges and at rims, in 3D only
             if it is curved there.
-        corner_normals: (n, corners, 3) outward unit normals of the fitted surface at the corners of
+        corner_normals: (n, corners, 3) outward unit normals of the surface at the corners of
             facets.
     """
 
@@ -122,17 +114,29 @@ class SmoothSurface:
         The result is valid for facets around which two rings of neighbours are on this rank.
         """
         facets, corner_nodes, rim = nodes.facets, nodes.facet_nodes, _rim_nodes(nodes)
-        self._facets, self._facet_normals = facets, facets.mean_normals
+        self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)
         self.corner_normals = fitted_normals(nodes)[corner_nodes]
-        smooth = self._smoothness(corner_nodes, rim)
+        smooth = self._smoothness(nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
         turns_at_kinks = turned_angles(self._cosines())
         self._heights = self._fitted_heights(smooth)
-        self._straighten_beside_kinks(smooth, turns_at_kinks)
+        # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
+        kinked = ((1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0))[:, None]
+        self.corner_normals += kinked[:, None] * (
+            self._facet_normals[:, None] - self.corner_normals
+        )
+        self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
+        if self._exact.any():
+            facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
+            x = np.tile(facets.lagrange_points(1), (len(facet) // facets.corners, 1))
+            normals = facets.exact_normals_at(facet, x).reshape(-1, facets.corners, 3)
+            self.corner_normals[self._exact] = normals
+        self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(self._cosines())
+        turns_at_kinks[self._exact] = self.turns[self._exact]
         self.across = _normals_across_edges(nodes)
         at_edge = self.across.any(axis=(1, 2))
         if facets.dim == 1:
@@ -141,12 +145,8 @@ class SmoothSurface:
             self.across = np.concatenate([self.across, ahead], axis=1)
         # in 3D flat slabs of one layer of cells have no facets but at the rim
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
-        at_end = rim[corner_nodes].any(axis=1) & ~flat
-        self._exact: Mask = np.zeros(len(self._corners), dtype=np.bool_)
-        if facets.offsets.shape[1]:  # the geometry of some facets is known, which goes on at rims
-            self._exact = ~np.isnan(facets.offsets[:, 0, 0])
-            self.turns[self._exact] = turns_at_kinks[self._exact] = self._exact_turns()
-            at_end &= ~self._exact
+        # facets whose geometry is known go on at rims
+        at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
         self.turning = bool(self._heights.any() or (self.turns > FLAT_ANGLE).any())
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
@@ -159,7 +159,7 @@ class SmoothSurface:
         Args:
             smooth: (n,) factor of `_smoothness`.
         """
-        facets, (start, end) = self._facets, self._slopes()
+        facets, (start, end) = self.facets, self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
         cosines = self._cosines()
@@ -170,42 +170,17 @@ class SmoothSurface:
         above = np.abs(heights).max(axis=1, initial=0.0) > rounding
         return np.asarray(heights * (not facets.bent and bool(above.any())))
 
-    def _straighten_beside_kinks(self, smooth: Array, turns: Array) -> None:
-        """Give the corners of facets beside kinks the facet's normal, see `KINK_ANGLE`.
-
-        Args:
-            smooth: (n,) 1 on smooth facets, 0 next to kinks (`_smoothness`).
-            turns: (n,) angle by which the fitted normal turns over each facet [rad].
-        """
-        kinkedness = (1.0 - smooth) * np.clip(turns / KINK_ANGLE - 1.0, 0.0, 1.0)
-        self.corner_normals += kinkedness[:, None, None] * (
-            self._facet_normals[:, None] - self.corner_normals
-        )
-        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
-
-    def _exact_turns(self) -> Array:
-        """Return the angles by which known surfaces turn over the facets in `_exact` [rad]."""
-        facets = self._facets
-        facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
-        x = np.tile(lagrange_points(facets.cell, 1), (len(facet) // facets.corners, 1))
-        normals = normals_at(facets, facet, x)
-        cosines = np.einsum("ni,ni->n", normals, self._facet_normals[facet])
-        return turned_angles(cosines.reshape(-1, facets.corners))
-
     def _cosines(self) -> Array:
         """Return the cosines (n, corners) between the normals at corners and of the facet."""
-        return np.asarray(np.einsum("nci,ni->nc", self.corner_normals, self._facet_normals))
+        return dots(self.corner_normals, self._facet_normals[:, None])
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
         along = self._corners[:, self._second] - self._corners[:, self._first]
-        start, end = (
-            np.einsum("nci,nci->nc", self.corner_normals[:, side], along)
-            for side in (self._first, self._second)
-        )
-        return start, end
+        normals = self.corner_normals
+        return dots(normals[:, self._first], along), dots(normals[:, self._second], along)
 
-    def _smoothness(self, corner_nodes: Indices, rim: Mask) -> Array:
+    def _smoothness(self, nodes: SurfaceNodes, rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
         Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
@@ -213,7 +188,7 @@ class SmoothSurface:
         surface (3D), such as a strip one facet wide, the least smooth facet around counts.
 
         Args:
-            corner_nodes: (n, corners) nodes at the corners of each facet.
+            nodes: the corners of the facets.
             rim: (nodes,) whether a node is at the rim.
         """
         start, end = self._slopes()
@@ -221,13 +196,13 @@ class SmoothSurface:
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
         excess = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
         result = np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
+        corner_nodes = nodes.facet_nodes
         at_rim = rim[corner_nodes]
         outer = at_rim.any(axis=1)
-        of_nodes = np.full((2, len(rim)), np.inf)
-        np.minimum.at(of_nodes[0], corner_nodes[~outer], result[~outer, None])
-        np.minimum.at(of_nodes[1], corner_nodes, result[:, None])
-        around = np.where(at_rim, np.inf, of_nodes[0, corner_nodes]).min(axis=1, initial=np.inf)
-        alone = 0.0 if self._facets.dim == 1 else of_nodes[1, corner_nodes].min(axis=1)
+        inner = nodes.reduced(np.minimum, result[~outer, None], np.inf, ~outer)[corner_nodes]
+        least = nodes.reduced(np.minimum, result[:, None], np.inf)[corner_nodes].min(axis=1)
+        around = np.where(at_rim, np.inf, inner).min(axis=1, initial=np.inf)
+        alone = 0.0 if self.facets.dim == 1 else least
         return np.where(outer, np.where(np.isinf(around), alone, around), result)
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
@@ -243,12 +218,11 @@ class SmoothSurface:
         """
         for c, d in ((0, 1), (1, 0)):
             ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
-            along = self._corners[ends, d] - self._corners[ends, c]
-            along /= np.linalg.norm(along, axis=1)[:, None]
+            along = unit(self._corners[ends, d] - self._corners[ends, c])
             both = self.corner_normals[ends, c] + self.corner_normals[ends, d]
-            lean = np.einsum("ni,ni->n", both, along) * smooth[ends]
+            lean = dots(both, along) * smooth[ends]
             self.corner_normals[ends, c] -= lean[:, None] * along
-        self.corner_normals /= np.linalg.norm(self.corner_normals, axis=2)[:, :, None]
+        self.corner_normals = unit(self.corner_normals)
 
     def points(self, facet: Indices, x: Array) -> Array:
         """Return points (n, q, 3) of the fitted surface over facets (n,) [length].
@@ -257,8 +231,8 @@ class SmoothSurface:
             facet: the facets.
             x: (q, dim) reference coordinates, the same for all facets.
         """
-        points = np.einsum("qk,nki->nqi", self._facets.basis(x), self._facets.points[facet])
-        hats = np.tile(self._facets.hats(x), (len(facet), 1))
+        points = self.facets.basis(x) @ self.facets.points[facet]
+        hats = np.tile(self.facets.hats(x), (len(facet), 1))
         heights = self.heights(np.repeat(facet, len(x)), hats).reshape(points.shape[:2])
         return np.asarray(points + heights[:, :, None] * self._facet_normals[facet][:, None])
 
@@ -282,18 +256,18 @@ class SmoothSurface:
             facet: (n,) the facet of each point.
             x: (n, dim) reference coordinates of each point on its facet.
         """
-        facets = self._facets
+        facets = self.facets
         hats = facets.hats(x)
         if facets.bent:
             normals = facets.area_vectors_at(facet, x)
         else:
             normals = np.einsum("nc,nci->ni", hats, self.corner_normals[facet])
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        normals = unit(normals)
         offsets = self.heights(facet, hats)[:, None] * self._facet_normals[facet]
         exact = self._exact[facet]
         if exact.any():
-            offsets[exact] = offsets_at(facets, facet[exact], x[exact])
-            normals[exact] = normals_at(facets, facet[exact], x[exact])
+            offsets[exact] = facets.offsets_at(facet[exact], x[exact])
+            normals[exact] = facets.exact_normals_at(facet[exact], x[exact])
         return offsets, normals
 
     def may_touch(
@@ -320,15 +294,14 @@ class SmoothSurface:
         """
         turned = self.turns[facet] + partner.turns[partner_facet]
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
-        cosine = -np.einsum("ni,ni->n", normals, partner_normals)
+        cosine = -dots(normals, partner_normals)
         at_edge, across_edge = np.zeros((2, len(facet)), dtype=np.bool_)
         for own, facing, across in (
             (normals, partner_normals, self.across[facet]),
             (partner_normals, normals, partner.across[partner_facet]),
         ):
-            opposed = -np.einsum("nki,ni->nk", across, facing)
-            parallel = cosine[:, None] * np.einsum("nki,ni->nk", across, own)
-            at_edge |= (opposed > parallel).any(axis=1)
+            opposed = -dots(across, facing[:, None])
+            at_edge |= (opposed > cosine[:, None] * dots(across, own[:, None])).any(axis=1)
             across_edge |= (opposed >= least[:, None]).any(axis=1)
         return np.asarray((cosine >= least) | at_edge & ~across_edge)
 
@@ -357,12 +330,9 @@ def turned_angles(cosines: Array) -> Array:
 
 def _rim_nodes(nodes: SurfaceNodes) -> Mask:
     """Return whether each of the nodes (n,) is on a side that belongs to one facet only."""
-    facets, corner_nodes = nodes.facets, nodes.facet_nodes
-    if facets.dim == 1:
-        return np.asarray(np.bincount(corner_nodes.ravel(), minlength=len(nodes.numbers)) == 1)
-    along = corner_nodes[:, nodes_round(facets.cell, 1)]
-    sides: Indices = np.stack([along, np.roll(along, 1, axis=1)], axis=2).reshape(-1, 2)
-    sides = np.sort(sides, axis=1)
+    facets = nodes.facets
+    corners = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
+    sides: Indices = np.sort(nodes.facet_nodes[:, corners].reshape(-1, facets.dim), axis=1)
     sides, count = np.unique(sides, axis=0, return_counts=True)
     result = np.zeros(len(nodes.numbers), dtype=np.bool_)
     result[sides[count == 1]] = True
@@ -390,19 +360,12 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
     neighbour = np.tile(nodes.facet_nodes, corners).ravel()
     node, neighbour = node[node != neighbour], neighbour[node != neighbour]
-    across = np.eye(3)[np.abs(nodes.normals).argmin(axis=1)]
-    if nodes.facets.dim == 1:
-        across = np.broadcast_to([0.0, 0.0, 1.0], across.shape)
-    x_axis = cross(across, nodes.normals)
-    x_axis /= np.linalg.norm(x_axis, axis=1)[:, None]
-    y_axis = cross(nodes.normals, x_axis)
+    x_axis, y_axis = tangents(nodes.normals).swapaxes(0, 1)
     offset = nodes.points[neighbour] - nodes.points[node]
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
     size = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
     offset = offset / size[node][:, None]
-    x, y, height = (
-        np.einsum("ni,ni->n", offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals)
-    )
+    x, y, height = (dots(offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals))
     # equal weights of the last two terms make the fit independent of the choice of axes
     terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
     matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))
@@ -410,5 +373,4 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     np.add.at(load, node, terms * height[:, None])
     matrix += np.diag(np.square([TILT_COST, TILT_COST, *CURVATURE_COSTS]))
     slopes = np.linalg.solve(matrix, load[:, :, None])[:, :2, 0]
-    normals = nodes.normals - slopes[:, :1] * x_axis - slopes[:, 1:] * y_axis
-    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+    return unit(nodes.normals - slopes[:, :1] * x_axis - slopes[:, 1:] * y_axis)

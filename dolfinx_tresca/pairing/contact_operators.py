@@ -41,8 +41,8 @@ from dolfinx_tresca._base.functions import (
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.petsc import dense_matrix
 from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.pairing.facets import MESH_ROUNDING, tabulate
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
-from dolfinx_tresca.pairing.search.facets import MESH_ROUNDING, tabulate
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -143,8 +143,7 @@ class ContactOperators:
     @property
     def points(self) -> Array:
         """(n, 3) positions of the contact nodes [length]."""
-        points: Array = self._V.tabulate_dof_coordinates()[self._pair.nodes]
-        return points
+        return np.asarray(self._V.tabulate_dof_coordinates()[self._pair.nodes])
 
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
@@ -180,9 +179,8 @@ class ContactOperators:
         chosen = [side for side in sides if not isinstance(side, RigidObstacle)]
         facets = tags.indices[np.isin(tags.values, chosen)]
         # all these facets get one new tag, so that a form is compiled only once, whatever the tags
-        marked = dolfinx.mesh.meshtags(
-            Q.mesh, tags.dim, facets, np.ones(len(facets), dtype=np.int32)
-        )
+        values = np.ones(len(facets), dtype=np.int32)
+        marked = dolfinx.mesh.meshtags(Q.mesh, tags.dim, facets, values)
         ds = ufl.Measure("ds", domain=Q.mesh, subdomain_data=marked, subdomain_id=1)
         radius = ufl.SpatialCoordinate(Q.mesh)[0]
         size = 2.0 * np.pi * radius if self._pair.axisymmetric else ufl.as_ufl(1.0)
@@ -292,11 +290,10 @@ class ContactOperators:
             InputError: `function` is not of degree 1 on the mesh, or no scalar.
         """
         mesh, dim = self._V.mesh, self._V.dofmap.index_map_bs
+        shapes: list[tuple[int, ...]] = [()] if scalar else [(), (dim,)]
+        cell = mesh.basix_cell()
+        elements = [basix.ufl.element("Lagrange", cell, 1, shape=shape) for shape in shapes]
         with errors_on_all_ranks(self.comm):
-            elements = [
-                basix.ufl.element("Lagrange", mesh.basix_cell(), 1, shape=shape)
-                for shape in ([()] if scalar else [(), (dim,)])
-            ]
             if (
                 not isinstance(function, fem.Function)
                 or function.function_space.mesh != mesh

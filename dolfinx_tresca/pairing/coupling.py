@@ -1,7 +1,11 @@
-"""The jump at secondary nodes: the dual basis, gaps, normals and directions of friction."""
+"""The jump at secondary nodes: the dual basis, gaps, normals and directions of friction.
+
+Before that: which secondary nodes carry multipliers, and what to do if none does.
+"""
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from mpi4py import MPI
@@ -9,32 +13,40 @@ from mpi4py import MPI
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from dolfinx_tresca._base.arrays import (
-    ROUNDING,
-    Array,
-    GlobalNumbers,
-    Indices,
-    LocalNumbers,
-    Mask,
-    scaled_rows,
-)
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
+from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, dots, unit
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array, warn
+from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.contact_normal import CANCELLED
-from dolfinx_tresca.pairing.group import Undeformed
-from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
-from dolfinx_tresca.pairing.multipliers import nodes_with_multipliers
-from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.facets import (
+from dolfinx_tresca.pairing.facets import (
     FACING_COSINE,
+    MISMATCH,
     NEGLIGIBLE,
     Facets,
     SurfaceNodes,
     free_normals,
-    node_sums,
     tangents,
 )
-from dolfinx_tresca.pairing.search.tagged import any_known_surface
+from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pieces import owns
+from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
+from dolfinx_tresca.scene.pair import ContactPair
+
+#: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
+#: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
+#: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
+#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it were
+#: 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the pressure of
+#: the nodes on the edge. If it were 0.94 (half this d), nodes of a circle of 16 segments would lose
+#: their multipliers if they lie outside the chords of the other body's mesh.
+LEAST_MEAN = 0.88
+
+#: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
+#: an overlap with a width of one or two facets `LEAST_MEAN` would leave a single line of nodes,
+#: about which a body could rotate (tests/validation/test_random_floating.py, scene 3). With half
+#: of this limit, nodes with a twentieth of their area covered would carry multipliers.
+LEAST_MEAN_OF_FEW = 0.45
 
 #: Least covered part of a node's area with which the node carries a multiplier. (At the limit
 #: rounding would decide, so the limit is not a round number: no overlap by a round part of a cell,
@@ -59,6 +71,141 @@ ENTRY_ROUNDING = 8.0
 #: up to which the patches face the same place. (With 0.5 the rim of a hole has no friction in its
 #: radial direction under the head of a bolt, whose friction is a sixth too small.)
 SAME_MEANS = 1e-3
+
+
+def corners_that_carry(
+    V: Any, nodes: SurfaceNodes, integrals: FacetIntegrals, shared: Mask
+) -> Mask:
+    """Return which corners of facets carry multipliers, if anything faces them. Collective.
+
+    The other corners give their part of the overlap to their neighbours: these are nodes beyond the
+    rim of the overlap. A part of the area of such a node may be covered,
+    but the node itself does not face the primary side. If it had a multiplier, the primary side
+    would seem to extend up to the node: the nodal force would be as large as for a whole facet, and
+    the pressure, this force divided by the covered area, would be far too large.
+
+    If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
+    its multiplier.
+
+    Args:
+        V: the space of the displacement.
+        nodes: nodes of the secondary side.
+        integrals: the integrals over the overlap.
+        shared: (n,) whether a node also belongs to the primary side.
+
+    Returns:
+        (facets, corners) the mask; the same for a node on all ranks that have it.
+    """
+    corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
+    covered = nodes.reduced(np.add, weights, 0.0)
+    whole = nodes.reduced(np.add, weights.mean(axis=1, keepdims=True), 0.0)
+    # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
+    _, number = np.unique(nodes.numbers, return_inverse=True)
+    single: Mask = np.bincount(number, covered > 0.0)[number] == 1
+    own = owns(V, nodes.numbers)
+
+    def owners_flags(flags: Mask) -> Mask:
+        """Return for each node the flag (n,) on its owner, which has all facets at the node."""
+        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[flags & own]))
+
+    def corners_of(facets: Mask) -> Mask:
+        """Return the mask (n,) of the nodes of facets in a mask."""
+        return np.asarray(nodes.reduced(np.maximum, facets[:, None], False))
+
+    partial = ~integrals.full & (weights.sum(axis=1) > 0.0)
+    at_rim = corners_of(partial)
+    without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
+    # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
+    # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
+    # which one of these nodes has a multiplier
+    near = owners_flags(at_rim & corners_of(integrals.full))
+    near = owners_flags(at_rim & (near | corners_of(partial & near[corners].any(axis=1))))
+    near = corners_of(partial & (near & ~without)[corners].any(axis=1))
+    without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
+    without = owners_flags((covered > 0.0) & without & single)
+    carries = ~without & ~shared & nodes.free.any(axis=1)
+    no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
+    largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
+    without[corners[no_carrier[:, None] & largest]] = False
+    return np.asarray(~owners_flags(without)[corners])
+
+
+def nodes_with_multipliers(
+    V: Any, pair: ContactPair, nodes: SurfaceNodes, unpaired: Mask, shared: Mask
+) -> Indices:
+    """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        nodes: the secondary nodes.
+        unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
+        shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
+            a surface that touches itself, see `redundant_nodes`.
+
+    Raises:
+        PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
+            error if nodes could carry multipliers in other positions of the bodies.
+    """
+    comm, own = V.mesh.comm, owns(V, nodes.numbers)
+    fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
+    carries = facing & ~fixed & ~shared
+    masks = [own, facing, own & ~fixed & ~shared, facing & fixed, facing & ~fixed & shared, carries]
+    masks.append(carries & ~nodes.free.all(axis=1))
+    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
+    counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
+    total, paired, eligible, prescribed, common, number, partly = reduce_array(comm, counts)
+    position = np.flatnonzero(carries)
+    if number > 0:
+        log(
+            comm,
+            "pairing: %s: %d of %d secondary nodes carry multipliers, %d of them prescribed in "
+            "part; of the others %d face nothing, %d are prescribed and %d are on both sides",
+            *(pair, number, total, partly, total - paired, prescribed, common),
+        )
+        return position
+    hint, secondary, primary = "", pair.side("secondary"), pair.side("primary")
+    if pair.obstacle is not None:
+        with errors_on_all_ranks(comm):
+            _, normals = pair.obstacle.at(nodes.points[own])
+        along = dots(normals, nodes.normals[own]) > 0.0
+        reversed_nodes = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
+        if reversed_nodes:
+            hint = (
+                f" At {reversed_nodes} nodes the obstacle's normal is along the outward normal of "
+                "the body, and so points into the body: it must point out of the obstacle, towards "
+                "the surface that may touch it. Reverse it if the tag is right."
+            )
+    if eligible > 0 and pair.sliding == "finite":
+        log(
+            comm,
+            "pairing: %s: no node that could carry a multiplier faces the other.%s",
+            *(pair, hint),
+            level=logging.WARNING if hint else logging.INFO,
+            about=str(pair),
+        )
+        return position
+    if paired > 0:
+        raise PairingError(
+            f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
+            f"nodes {total - paired} do not face the primary side ({primary}), {prescribed} are "
+            f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
+        )
+    limited = pair.search_distance is not None
+    within = f" within {pair.search_distance:g}" if limited else ""
+    limits = " and the search distance" if limited else ""
+    if pair.touches_itself:
+        raise PairingError(
+            f"no part of the surface ({secondary}) can touch another one: from none of its "
+            f"{total} nodes the outward normal leads to the surface of another body, or to "
+            f"another part of the same body{within}. Check the tag{limits}; for parts that "
+            'meet only when the body has moved take sliding="finite".'
+        )
+    raise PairingError(
+        f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
+        f"side ({secondary}) the outward normal leads to the primary side "
+        f"({primary}){within}. Check the tags{limits}.{hint}"
+    )
 
 
 def couple(
@@ -99,29 +246,26 @@ def couple(
     """
     group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
     pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
+    columns = V.dofmap.index_map.size_global
     with errors_on_all_ranks(comm):
-        columns = V.dofmap.index_map.size_global
         weights, jump, across, means = mortar_rows(nodes, primary, integrals, columns, carries)
-    scale: Array = 1.0 / np.where(weights > 0.0, weights, 1.0)
-    means *= scale[:, None]
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     length = np.linalg.norm(means[:, 3:6], axis=1)
     vectors = np.where((length <= CANCELLED)[:, None], nodes.normals, means[:, 3:6])
     normals = free_normals(vectors, nodes.free)
     if primary is None:  # measured along the mean normal, also where a component is prescribed
-        cosine = np.einsum("ni,ni->n", vectors, normals) / np.linalg.norm(vectors, axis=1)
-        means[:, :3] /= np.maximum(cosine, FACING_COSINE)[:, None]
+        means[:, :3] /= np.maximum(dots(unit(vectors), normals), FACING_COSINE)[:, None]
     gap, secondary_sagitta, sagitta = means[:, :3].T
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
+
     facet, partner = integrals.pairs.T
+    sizes = np.einsum("nij,njk->ni", redistribution(carries)[facet], integrals.partner)
     column = partner if primary is None else primary.tag_index[partner]
-    sizes = integrals.partner.sum(axis=2)
-    sizes = redistributed(sizes[:, :, None], carries[facet])[:, :, 0]
-    shares: Array = np.zeros((count, len(group.pairs)))
     member = group.pair_of_tags[facets.tag_index[facet], column]
+    shares: Array = np.zeros((count, len(group.pairs)))
     np.add.at(shares, (nodes.facet_nodes[facet], member[:, None]), sizes)
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
@@ -129,25 +273,22 @@ def couple(
         # Functions of the dual basis are negative in part: a mean may be less than all distances
         # around the node. (The gap of moved surfaces must change as N says, or the positions of
         # finite sliding do not converge.)
-        least: Array = np.full(count, np.inf)
-        np.minimum.at(least, nodes.facet_nodes, integrals.least[:, None])
+        least = nodes.reduced(np.minimum, integrals.least[:, None], np.inf)
         gap[:] = np.maximum(gap, least)
-        if not any_known_surface(facets, primary):
+        if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
+
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
     smooth = np.array([isinstance(law, Frictionless) for law in laws])[owner]
     normals, free, numbers = normals[position, :dim], nodes.free[position], nodes.numbers[position]
-    moves = np.linalg.norm(normals * free, axis=1) > FACING_COSINE
-    prescribed = ~moves
-    across = scaled_rows(across[position], scale[position])
-    friction_acts, means_across = free, None
+    prescribed = np.linalg.norm(normals * free, axis=1) <= FACING_COSINE
+    jump, across, friction_acts = jump[position], across[position], free
     if primary is not None:
         friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
-        means_across = across
     patches = numbers if bodies is None else numbers * columns + bodies[position]
-    room = _tangential_projections(patches, means_across, normals, friction_acts, moves)
+    has_normal_row, room = _normals_and_room(patches, across, normals, friction_acts, ~prescribed)
     along, tangent_node = _free_tangents(normals, room)
     rubs = ~smooth[tangent_node]
     extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
@@ -164,12 +305,12 @@ def couple(
         added_gap=np.zeros_like(distance),
         # only displacements of degree 2 can bend facets and so make up for the sagitta
         secondary_sagitta=secondary_sagitta[position] * (facets.degree > 1),
-        jump=scaled_rows(jump[position], scale[position]),
+        jump=jump,
         primary=across,
         prescribed=prescribed,
-        normal_node=np.flatnonzero(moves).astype(np.int32),
+        has_normal_row=has_normal_row,
         tangents=along[rubs],
-        tangent_node=tangent_node[rubs],
+        tangent_node=tangent_node[rubs].astype(np.int32),
         semi_axes=np.ones(rubs.sum()),
         undeformed=undeformed,
     )
@@ -177,9 +318,8 @@ def couple(
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) -> None:
     """Warn if nodes (n,) penetrate so little that errors of `sagitta` (n,) matter. Collective."""
-    depth, height = reduce_array(
-        comm, [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)], MPI.MAX
-    )
+    greatest = [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)]
+    depth, height = reduce_array(comm, greatest, MPI.MAX)
     inside, number = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
     if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED_PART * number:
         warn(
@@ -199,7 +339,7 @@ def mortar_rows(
     columns: int,
     carries: Mask,
 ) -> tuple[Array, Any, Any, Array]:
-    """Integrate psi_i times the jump, for each function psi_i of the dual basis. Not collective.
+    """Return means of the jump, weighted by the functions psi_i of the dual basis. Not collective.
 
     Args:
         nodes: nodes of the secondary side.
@@ -209,15 +349,16 @@ def mortar_rows(
         carries: (facets, corners) whether a corner has a multiplier, see `couple`.
 
     Returns:
-        For each of the nodes (n,) the covered area w [length^2, in 2D length]; times w, the sparse
-        matrix (n, nodes of V) of the jump, secondary minus primary, and the one of its primary
-        part; and (n, 9) the six quantities of `FacetIntegrals.means` and the three coordinates of
-        the point of application of the nodal force, times w.
+        For each of the nodes (n,) the covered area [length^2, in 2D length]; the sparse matrix
+        (n, nodes of V) of the jump, secondary minus primary, and the one of its primary part; and
+        (n, 9) the means of the six quantities of `FacetIntegrals.means`, and the three coordinates
+        of the point of application of the nodal force.
     """
-    corners, count = nodes.facet_nodes, len(nodes.numbers)
-    dual = dual_coefficients(integrals.hats, carries)
-    weights = redistributed(integrals.hats.sum(axis=2)[:, :, None], carries)[:, :, 0]
-    weights = node_sums(corners, weights, count)
+    corners = nodes.facet_nodes
+    sizes = np.einsum("nij,njk->ni", redistribution(carries), integrals.hats)
+    weights = nodes.reduced(np.add, sizes, 0.0)
+    scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
+    dual = dual_coefficients(integrals.hats, carries) * scale[corners][:, :, None]
     own = dual @ integrals.values
     jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns)
     across = csr_array(jump.shape)
@@ -227,7 +368,7 @@ def mortar_rows(
         across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
         jump = jump - across
     means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
-    return weights, jump, across, node_sums(corners, means, count)
+    return weights, jump, across, nodes.reduced(np.add, means, 0.0)
 
 
 def dual_coefficients(hats: Array, carries: Mask) -> Array:
@@ -248,7 +389,7 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
             has no basis functions.
     """
     every = np.eye(hats.shape[1])
-    sums = redistributed(np.broadcast_to(every, hats.shape), carries)
+    sums = redistribution(carries)
     masses = sums @ hats @ sums.transpose(0, 2, 1)
     weights = masses.sum(axis=2)[:, :, None]
     # a mass matrix M of a strip is nearly singular; the coefficients (1 + t) D (M + t D)^-1, with
@@ -258,22 +399,19 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
     return np.asarray((1.0 + ROUNDING) * weights * np.linalg.inv(shifted) @ sums)
 
 
-def redistributed(values: Array, receives: Mask) -> Array:
-    """Distribute the values of corners that are not in `receives` over the corners in `receives`.
+def redistribution(receives: Mask) -> Array:
+    """Return matrices (n, corners, corners) that distribute values at the corners of facets.
 
-    The sum over the corners of a facet does not change, so that a facet transfers a constant
-    pressure even if some of its corners have no multiplier.
+    The values of corners that are not in `receives` become zero, and are added in equal parts to
+    those of the corners in `receives`. The sum over the corners of a facet does not change, so that
+    a facet transfers a constant pressure even if some of its corners have no multiplier.
 
     Args:
-        values: (n, corners, k) values at the corners of facets.
-        receives: (n, corners) whether a corner receives values of other corners, in equal parts.
-
-    Returns:
-        The new values (n, corners, k), zero at corners that are not in `receives`.
+        receives: (n, corners) whether a corner receives values of other corners.
     """
     number = np.maximum(receives.sum(axis=1), 1)[:, None, None]
-    lost = np.where(receives[:, :, None], 0.0, values).sum(axis=1, keepdims=True)
-    return np.where(receives[:, :, None], values + lost / number, 0.0)
+    shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / number)
+    return np.asarray(shares * receives[:, :, None])
 
 
 def assemble_rows(
@@ -293,8 +431,7 @@ def assemble_rows(
     places = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
     entries = values.ravel(), (places[0].ravel(), places[1].ravel())
     result = coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
-    rounding = np.zeros(len(nodes.numbers))
-    np.maximum.at(rounding, nodes.facet_nodes, nodes.facets.rounding[:, None])
+    rounding = nodes.reduced(np.maximum, nodes.facets.rounding[:, None], 0.0)
     rounding *= ENTRY_ROUNDING * abs(result).sum(axis=1)
     result.data[np.abs(result.data) <= np.repeat(rounding, np.diff(result.indptr))] = 0.0
     result.eliminate_zeros()
@@ -320,35 +457,31 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     return result
 
 
-def _tangential_projections(
-    owners: GlobalNumbers,
-    means: Any,
-    normals: Array,
-    free: Mask,
-    moves: Mask,
-) -> Array:
-    """Return projections (n, d, d) onto the directions that are available for rows of T.
+def _normals_and_room(
+    owners: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
+) -> tuple[Mask, Array]:
+    """Return which nodes have rows of N (n,), and projections (n, d, d) onto directions left for T.
 
     If several patches of a node on a sharp edge face the same place, such as an edge in the corner
     of a box with the same nodes, they have the same jump. Each patch has a row of N for its normal,
-    as long as these rows are linearly independent; `moves` is set to False for patches without such
-    a row. Friction then acts only along the edge, on the patch with the largest weight. Patches
-    that face different places, such as the head of a bolt and its shank in a hole with clearance,
-    are independent of each other.
+    as long as these rows are linearly independent. Friction then acts only along the edge, on the
+    patch with the largest weight. Patches that face different places, such as the head of a bolt
+    and its shank in a hole with clearance, are independent of each other.
 
     Args:
         owners: (n,) a number for each patch. Patches of one node that face the same body have the
             same number, and are sorted by ascending weight.
-        means: (n, nodes of V) sparse matrix of the means over the primary side; None for an
+        means: (n, nodes of V) sparse matrix of the means over the primary side; empty for an
             obstacle, which is the same place for all patches.
         normals: (n, d) unit normals.
         free: (n, d) whether friction may act along a coordinate axis.
-        moves: (n,) whether the node has a row of N; changed in place.
+        moves: (n,) whether the displacement is not prescribed along the normal.
     """
+    has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])
     ascending = np.argsort(owners, kind="stable")
     together = owners[ascending[1:]] == owners[ascending[:-1]]
-    if means is not None and together.any():
+    if together.any():
         lighter, heavier = means[ascending[:-1][together]], means[ascending[1:][together]]
         squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
         apart = (lighter - heavier).power(2).sum(axis=1)
@@ -362,15 +495,15 @@ def _tangential_projections(
         for i in reversed(patches):
             own = left @ normals[i]
             length = np.linalg.norm(own)
-            moves[i] = length > FACING_COSINE
-            if moves[i]:
+            has_row[i] = length > FACING_COSINE
+            if has_row[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
         room[heaviest] = left
-    return room
+    return has_row, room
 
 
-def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
+def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
     """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
 
     Args:
@@ -385,4 +518,4 @@ def _free_tangents(normals: Array, room: Array) -> tuple[Array, LocalNumbers]:
     values, vectors = np.linalg.eigh(mobility)
     along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])
     keep[limited] = values > FACING_COSINE
-    return along[keep], np.nonzero(keep)[0].astype(np.int32)
+    return along[keep], np.nonzero(keep)[0]

@@ -10,30 +10,22 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, dots, unit
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
 from dolfinx_tresca.pairing.contact_normal import SmoothSurface, contact_normals, turned_angles
-from dolfinx_tresca.pairing.search.facets import (
+from dolfinx_tresca.pairing.facets import (
     FACING_COSINE,
     MISMATCH,
-    Facets,
+    OFFSET_DEGREE,
     SurfaceNodes,
-    facets_coincide,
-    lagrange_points,
-    node_sums,
     project,
     quadrature,
     rounding_of,
 )
-from dolfinx_tresca.pairing.search.pieces import AT_ONCE, Pieces, blocks
-from dolfinx_tresca.pairing.search.self_contact import SelfContact
-from dolfinx_tresca.pairing.search.tagged import OFFSET_DEGREE, any_known_surface
-from dolfinx_tresca.pairing.search.visibility import (
-    Visibility,
-    nearest_layer_weights,
-    overlaps,
-)
+from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces, blocks
+from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps, weights_of_nearest
 from dolfinx_tresca.scene.obstacle import RigidObstacle
+from dolfinx_tresca.scene.pair import ContactPair
 
 #: Length of a facet, relative to its radius: the distance by which the primary side may recede over
 #: a facet. What is farther away than the nearest point by more than this is another surface behind
@@ -77,8 +69,9 @@ class FacetIntegrals:
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         means: (n, corners, 6) integrals of secondary hat functions times six quantities: the
             distance of the surfaces along the contact normal; the height of the secondary surface
-            over its facets, and the sum of the heights of both (zero over facets that coincide, or
-            if an exact surface is known); and the three components of the contact normal.
+            over its facets (zero if an exact surface is known), and the sum of the heights of both
+            along the contact normal (all heights are zero over facets that coincide); and the three
+            components of the contact normal.
         least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
@@ -134,18 +127,17 @@ class MortarIntegrals(FacetIntegrals):
             order: rule that decides which of two facets is secondary on a surface that touches
                 itself (`primary` and `secondary` are then the same side); None for two surfaces.
         """
-        facets, partners = self._facets, self._other_facets = secondary.facets, primary.facets
+        facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
         self._pieces, self._others = Pieces.from_facets(facets), Pieces.from_facets(partners)
         self._surface, self._other_surface = SmoothSurface(secondary), SmoothSurface(primary)
-        self._known = any_known_surface(facets, partners)
         body = None if order is None else order.body[self._pieces.facet]
         self._visibility = Visibility(self._pieces, self._others, body)
         degree = 1 + facets.degree
-        self._polynomial = facets.affine and partners.affine and not self._known
+        self._polynomial = facets.affine and partners.affine and not facets.has_exact_surface
         if not (facets.affine and partners.affine):
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
-        elif self._known:
+        elif facets.has_exact_surface:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
         elif self._surface.turning or self._other_surface.turning:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
@@ -161,7 +153,9 @@ class MortarIntegrals(FacetIntegrals):
         self.values = np.zeros((n, corners, facets.nodes.shape[1]))
         self.least = np.full(n, np.inf)
         self._covered = np.zeros(count)
-        self._overlaps: list[tuple[Indices, Array, Indices]] = []
+        none: Indices = np.zeros((0, 2), dtype=np.intp)
+        empty: Array = np.zeros((0, corners, partners.nodes.shape[1]))
+        self._overlaps = [(none, empty, none)]
         mine = np.flatnonzero(np.isin(self._pieces.facet, selected))
         reach: Array = np.full(count, limit)
         if order is not None:
@@ -174,11 +168,8 @@ class MortarIntegrals(FacetIntegrals):
             self._integrate(*block, reach)
         missing = self._covered < (1.0 - MISMATCH) * self._area
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
-        none: Indices = np.zeros((0, 2), dtype=np.intp)
-        self._overlaps.append((none, np.zeros((0, corners, partners.nodes.shape[1])), none))
-        self.pairs, self.partner, self.opposite = map(
-            np.concatenate, zip(*self._overlaps, strict=True)
-        )
+        arrays = zip(*self._overlaps, strict=True)
+        self.pairs, self.partner, self.opposite = map(np.concatenate, arrays)
         # the integrals outlive what they were computed with
         del self._overlaps, self._pieces, self._others, self._visibility
         del self._surface, self._other_surface
@@ -200,8 +191,8 @@ class MortarIntegrals(FacetIntegrals):
                 pieces.centres[own], pieces.normals[own], pieces.radii[own], limit[own]
             )
             piece = own[line]
-            cosine = np.einsum("ni,ni->n", pieces.normals[piece], partners.normals[partner])
-            piece, partner = piece[cosine < -FACING_COSINE], partner[cosine < -FACING_COSINE]
+            opposed = dots(pieces.normals[piece], partners.normals[partner]) < -FACING_COSINE
+            piece, partner = piece[opposed], partner[opposed]
             meets = self._may_meet(pieces.facet[piece], partners.facet[partner])
             piece, partner = piece[meets], partner[meets]
             # a block ends at the first pair of a piece after each 4 `AT_ONCE` pairs
@@ -224,8 +215,8 @@ class MortarIntegrals(FacetIntegrals):
         Returns:
             (pieces,) whether these pairs cover a secondary piece fully, whatever the roles are.
         """
-        secondary, primary, dim = self._facets, self._other_facets, self._facets.dim
-        pieces = self._pieces
+        pieces, surface, partner_surface = self._pieces, self._surface, self._other_surface
+        secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
         simplices, size, pair = overlaps(
             pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
             pieces.local_coordinates(mine, self._others.points[partners])[:, :, :dim],
@@ -247,8 +238,7 @@ class MortarIntegrals(FacetIntegrals):
         x_their = project(primary, theirs[:, :, :dim], places)
         hats = secondary.hats(x_own)
         values, partner_values = secondary.basis(x_own), primary.basis(x_their)
-        end = np.einsum("nk,nk->n", partner_values, theirs[:, :, dim])
-        start = np.einsum("nk,nk->n", values, own[:, :, dim])
+        start, end = dots(values, own[:, :, dim]), dots(partner_values, theirs[:, :, dim])
         apart = end - start
         hidden = self._visibility.hidden(
             mine[pair],
@@ -258,10 +248,7 @@ class MortarIntegrals(FacetIntegrals):
             partners[pair],
         )
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
-        weight = nearest_layer_weights(
-            mine, pair, simplices, size, places, apart, weight, self._area
-        )
-        surface, partner_surface = self._surface, self._other_surface
+        weight = weights_of_nearest(mine, pair, simplices, size, places, apart, weight, self._area)
         to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
         to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
         turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
@@ -281,11 +268,10 @@ class MortarIntegrals(FacetIntegrals):
         area = weight
         if not secondary.affine:  # areas of curved facets for those in the planes of pieces
             vectors = secondary.area_vectors_at(own_facet, x_own)
-            height = np.abs(np.einsum("ni,ni->n", vectors, pieces.normals[piece]))
+            height = np.abs(dots(vectors, pieces.normals[piece]))
             area = area * np.linalg.norm(vectors, axis=1) / height
         if secondary.axisymmetric:
-            radii = np.einsum("nk,nk->n", values, secondary.points[own_facet, :, 0])
-            area = area * secondary.circumferences(radii)
+            area = area * 2.0 * np.pi * dots(values, secondary.points[own_facet, :, 0])
 
         kept, simplex_starts = np.unique(pair, return_index=True)
 
@@ -296,17 +282,16 @@ class MortarIntegrals(FacetIntegrals):
             return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
 
         # at the rim of one side fitted surfaces differ, though the facets coincide
-        coincide = facets_coincide(secondary, facet, primary, partner)[point_pair]
-        if not self._known:
+        coincide = secondary.coincide(facet, primary, partner)[point_pair]
+        if not secondary.has_exact_surface:
             to_partner[coincide], to_surface[coincide] = 0.0, 0.0
-        fitted = ~(coincide | self._known)
-        heights = partner_surface.heights(their_facet, primary.hats(x_their))
-        secondary_sagitta = fitted * surface.heights(own_facet, hats)
-        sagitta = secondary_sagitta + fitted * heights
+        flat = coincide | secondary.has_exact_surface
+        secondary_sagitta = ~flat * surface.heights(own_facet, hats)
+        sagitta = dots(to_surface - to_partner, normals)
         # a vector between the surfaces: the distance of the facets minus both heights would lose
         # accuracy for closely fitting bodies, for which heights are much larger than the distance
         between = apart[:, None] * pieces.normals[piece]
-        distance = np.einsum("ni,ni->n", between + to_partner - to_surface, normals)
+        distance = dots(between + to_partner - to_surface, normals)
         # at the corners of the simplices: of the linear function that fits the distances best
         least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
@@ -332,7 +317,7 @@ class MortarIntegrals(FacetIntegrals):
 
 
 def obstacle_integrals(
-    comm: MPI.Comm, pair: str, obstacle: RigidObstacle, nodes: SurfaceNodes, moved: bool
+    comm: MPI.Comm, pair: ContactPair, obstacle: RigidObstacle, nodes: SurfaceNodes, moved: bool
 ) -> tuple[SurfaceNodes, FacetIntegrals, Mask]:
     """Integrate over the facets of a surface that face a rigid obstacle. Collective.
 
@@ -345,7 +330,7 @@ def obstacle_integrals(
 
     Args:
         comm: the communicator.
-        pair: name of the contact pair, for the warning.
+        pair: the contact pair, for the warning.
         obstacle: the obstacle.
         nodes: the nodes of the surface.
         moved: whether the surface is displaced.
@@ -363,79 +348,88 @@ def obstacle_integrals(
     with errors_on_all_ranks(comm):
         surface = SmoothSurface(nodes)
         nodes = replace(nodes, facet_nodes=entry[nodes.facet_nodes])
-        distance, _ = obstacle.at(facets.points.reshape(-1, 3))
-        height = np.zeros_like(distance)
-        if facets.degree > 1:
-            x = lagrange_points(facets.cell, facets.degree)
-            smooth = surface.points(np.arange(len(facets.points)), x)
-            height = distance - obstacle.at(smooth.reshape(-1, 3))[0]
+        every, middle = np.arange(len(facets.points)), quadrature(facets.cell, 1)[0]
+        centres = facets.points_at(middle)[:, 0]
         at_corners = obstacle.at(nodes.points)[1][nodes.facet_nodes]
+        _, at_centres = obstacle.at(centres)
         # A facet faces the obstacle at a corner if the normals of both are opposed at this corner
         # and at the centre of the facet. So, if an edge of the body lies in a corner between walls
         # of the obstacle, only the facets in front of the nearest wall count at the edge's nodes.
-        middle, _ = quadrature(facets.cell, 1)
-        centres = np.einsum("qk,nki->nqi", facets.basis(middle), facets.points)[:, 0]
-        _, at_centres = obstacle.at(centres)
-        faces: Mask = np.ones(at_corners.shape[:2], dtype=np.bool_)
-        for x, opposite in (
-            (lagrange_points(facets.cell, 1), at_corners),
-            (middle, at_centres[:, None]),
-        ):
-            vectors = facets.area_vectors(x)
-            cosine = np.einsum("nqi,nqi->nq", vectors, opposite) / np.linalg.norm(vectors, axis=2)
-            faces &= cosine < -FACING_COSINE
-        facing: Mask = np.asarray(faces.any(axis=1))
+        corner_normals = unit(facets.area_vectors(facets.lagrange_points(1)))
+        faces: Mask = dots(corner_normals, at_corners) < -FACING_COSINE
+        faces &= (dots(facets.mean_normals, at_centres) < -FACING_COSINE)[:, None]
+        facing = np.asarray(faces.any(axis=1))
+        turns = turned_angles(dots(at_corners, at_centres[:, None])) * facing
+        at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
+        own_turns = surface.turns[:, None]
+        mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
+        unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
+        normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
         # nodes see a hollow obstacle, such as a corner between walls, before all other points do
         spread = facets.points[:, : facets.corners] - centres[:, None]
-        round_outwards = np.einsum("nci,nci->n", spread, at_corners - at_centres[:, None]) > 0.0
-        turns = turned_angles(np.einsum("nci,ni->nc", at_corners, at_centres)) * facing
-        largest = np.zeros(len(nodes.numbers))
-        np.maximum.at(largest, nodes.facet_nodes, turns[:, None])
-        at_node, own_turns = largest[nodes.facet_nodes], np.repeat(surface.turns, facets.corners)
-        normals = contact_normals(
-            surface.corner_normals.reshape(-1, 3),
-            at_corners.reshape(-1, 3),
-            own_turns,
-            at_node.ravel(),
-        )
-        unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
-        normals = unresolved * normals.reshape(at_corners.shape) - (1.0 - unresolved) * at_corners
-        turns *= round_outwards
-        distance, height = (array.reshape(facets.nodes.shape) for array in (distance, height))
-        hats, values = (facing[:, None, None] * array for array in whole_facet_integrals(facets))
-        at_nodes = np.stack([distance - height, height, height], axis=2)
+        turns *= dots(spread, at_corners - at_centres[:, None]).sum(axis=1) > 0.0
+
+        x = facets.lagrange_points(facets.degree)
+        distance, _ = _at(obstacle, surface.points(every, x))
+        height = _at(obstacle, facets.points)[0] - distance
+        x, w = quadrature(facets.cell, 4 * facets.degree + 2)
+        weighted = (facets.area_elements(x) * w * facing[:, None])[:, None] * facets.hats(x).T
+        hats, values = weighted @ facets.hats(x), weighted @ facets.basis(x)
+        at_nodes = np.stack([distance, height, height], axis=2)
         means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
-        full: Mask = np.ones(len(hats), dtype=np.bool_)
-        pairs = np.column_stack([np.arange(len(hats)), np.zeros(len(hats), dtype=np.intp)])
-        integrals = FacetIntegrals(hats, values, means, np.zeros(len(hats)), full, pairs, hats)
-        seen = (distance - height).min(axis=1, initial=np.inf)
+        least, full = np.zeros(len(hats)), np.ones(len(hats), dtype=np.bool_)
+        pairs = np.column_stack([every, np.zeros_like(every)])
+        integrals = FacetIntegrals(hats, values, means, least, full, pairs, hats)
         near = _see_between_nodes(obstacle, nodes, surface, turns, integrals)
-        corners, count = nodes.facet_nodes[near], len(nodes.numbers)
-        sums = (integrals.means[near, :, 0], integrals.hats[near].sum(axis=2))
-        gaps, sizes = (node_sums(corners, array, count)[corners] for array in sums)
-        seen[near] = (gaps / sizes).min(axis=1, initial=np.inf)
-        x = lagrange_points(facets.cell, OFFSET_DEGREE)
-        points = surface.points(np.flatnonzero(facing & (not moved)), x)
-        distance = obstacle.at(points.reshape(-1, 3))[0].reshape(points.shape[:2])
+        seen = distance.min(axis=1, initial=np.inf)
+        gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
+        sizes = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
+        corners = nodes.facet_nodes[near]
+        seen[near] = (gaps[corners] / sizes[corners]).min(axis=1, initial=np.inf)
     if not moved:
-        depth = -distance.min(axis=1, initial=0.0)
-        unseen = depth - np.maximum(-seen[facing], 0.0)
-        angle = turns[facing] * (depth > 0.0)
-        greatest = [array.max(initial=0.0) for array in (depth, unseen, angle, np.abs(points))]
-        deepest, largest, angle, extent = reduce_array(comm, greatest, MPI.MAX)
-        rounding = ROUNDING * extent
-        is_coarse = angle > COARSE_ANGLE and deepest > rounding
-        if is_coarse or largest > max(UNSEEN_PART * deepest, rounding):
-            warn(
-                comm,
-                "contact pair %s: the obstacle enters facets by up to %.3g, and the mesh does not "
-                "see %.3g of it; its normal turns by %.0f degrees over a facet: forces are "
-                "inaccurate, and may be zero. Use facets a third as large as the radius of the "
-                "obstacle.",
-                *(pair, deepest, largest, math.degrees(angle)),
-                about=pair,
-            )
+        front = np.flatnonzero(facing)
+        with errors_on_all_ranks(comm):
+            points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
+            depth = -_at(obstacle, points)[0].min(axis=1, initial=0.0)
+        extent = np.abs(points).max(initial=0.0)
+        _warn_of_unseen(comm, pair, depth, np.maximum(-seen[front], 0.0), turns[front], extent)
     return nodes, integrals, faces
+
+
+def _warn_of_unseen(
+    comm: MPI.Comm, pair: ContactPair, depth: Array, seen: Array, turns: Array, extent: float
+) -> None:
+    """Warn if an obstacle enters facets farther than the mesh sees. Collective.
+
+    Args:
+        comm: the communicator.
+        pair: the contact pair.
+        depth: (n,) depth by which the obstacle enters each facet [length].
+        seen: (n,) the part of the depth that nodes, or means between nodes, see [length].
+        turns: (n,) angle by which the obstacle's normal turns over each facet [rad].
+        extent: largest coordinate of the facets [length].
+    """
+    entered = turns * (depth > 0.0)
+    greatest = [array.max(initial=0.0) for array in (depth, depth - seen, entered)]
+    deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
+    rounding = ROUNDING * extent
+    is_coarse = angle > COARSE_ANGLE and deepest > rounding
+    if is_coarse or unseen > max(UNSEEN_PART * deepest, rounding):
+        warn(
+            comm,
+            "contact pair %s: the obstacle enters facets by up to %.3g, and the mesh does not "
+            "see %.3g of it; its normal turns by %.0f degrees over a facet: forces are "
+            "inaccurate, and may be zero. Use facets a third as large as the radius of the "
+            "obstacle.",
+            *(pair, deepest, unseen, math.degrees(angle)),
+            about=str(pair),
+        )
+
+
+def _at(obstacle: RigidObstacle, points: Array) -> tuple[Array, Array]:
+    """Return the distances (n, q) and normals (n, q, 3) of an obstacle at points (n, q, 3)."""
+    distance, normals = obstacle.at(points.reshape(-1, 3))
+    return distance.reshape(points.shape[:2]), normals.reshape(points.shape)
 
 
 def _see_between_nodes(
@@ -467,59 +461,36 @@ def _see_between_nodes(
     Returns:
         (m,) the facets for which the integrals have changed. Their hat functions count as dual.
     """
-    facets, count = nodes.facets, len(nodes.numbers)
-    largest = np.zeros(count)
-    np.maximum.at(largest, nodes.facet_nodes, turns[:, None])
-    share = np.clip(0.5 * (largest / RESOLVED_ANGLE - 1.0), 0.0, 1.0)
-    facing = integrals.hats.any(axis=(1, 2))
-    near = np.flatnonzero(facing & share[nodes.facet_nodes].any(axis=1))
-    if len(near) == 0:
-        return near
-    corners, turns = nodes.facet_nodes[near], turns[near]
+    facets = nodes.facets
+    around = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
+    share = np.clip(0.5 * (around / RESOLVED_ANGLE - 1.0), 0.0, 1.0)
+    near = np.flatnonzero(integrals.hats.any(axis=(1, 2)) & share.any(axis=1))
+    close = facets.selected(near)
+    corners, turns, share = nodes.facet_nodes[near], turns[near], share[near, :, None]
     x, w = quadrature(facets.cell, SEEN_DEGREE)
     hats, basis = facets.hats(x), facets.basis(x)
     points = surface.points(near, x)
-    distance, outward = obstacle.at(points.reshape(-1, 3))
-    distance, outward = distance.reshape(points.shape[:2]), outward.reshape(points.shape)
-    own = np.einsum("qc,nci->nqi", hats, surface.corner_normals[near])
-    own /= np.linalg.norm(own, axis=2)[:, :, None]
-    angles = (np.repeat(angle, len(x)) for angle in (surface.turns[near], turns))
-    normals = contact_normals(own.reshape(-1, 3), outward.reshape(-1, 3), *angles)
-    flat = np.einsum("qk,nki->nqi", basis, facets.points[near])
-    above = np.einsum("nqi,nqi->nq", flat - points, outward)
-    seen = np.dstack([distance, above, above, normals.reshape(points.shape)])
+    distance, outward = _at(obstacle, points)
+    own = unit(hats @ surface.corner_normals[near])
+    normals = contact_normals(own, outward, surface.turns[near, None], turns[:, None])
+    above = dots(close.points_at(x) - points, outward)
+    seen = np.dstack([distance, above, above, normals])
 
-    sizes = (np.linalg.norm(facets.area_vectors(x)[near], axis=2) @ w) ** (1.0 / facets.dim)
-    height, least = np.zeros(count), np.full(count, np.inf)
-    np.maximum.at(height, corners, (SEEN_HEIGHT / 8.0 * facets.dim * turns * sizes)[:, None])
-    np.minimum.at(least, corners, distance.min(axis=1)[:, None])
-    height[share == 0.0] = 1.0
-    excess = (distance[:, None] - least[corners][:, :, None]) / height[corners][:, :, None]
-    weights = np.exp(-excess) * hats.T * (facets.area_elements(x)[near] * w)[:, None]
+    sizes = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
+    own_height = SEEN_HEIGHT / 8.0 * facets.dim * turns * sizes
+    height = nodes.reduced(np.maximum, own_height[:, None], 0.0, near)
+    least = nodes.reduced(np.minimum, distance.min(axis=1)[:, None], np.inf, near)
+    heights = np.where(share > 0.0, height[corners][:, :, None], 1.0)
+    excess = (distance[:, None] - least[corners][:, :, None]) / heights
+    weights = np.exp(-excess) * hats.T * (close.area_elements(x) * w)[:, None]
     areas = integrals.hats[near].sum(axis=2)
-    total = node_sums(corners, weights.sum(axis=2), count)[corners]
-    weights *= (node_sums(corners, areas, count)[corners] / total)[:, :, None]
+    total = nodes.reduced(np.add, weights.sum(axis=2), 0.0, near)[corners]
+    weights *= (nodes.reduced(np.add, areas, 0.0, near)[corners] / total)[:, :, None]
     dual = areas[:, :, None] * np.linalg.inv(integrals.hats[near])
     values, means = dual @ integrals.values[near], dual @ integrals.means[near]
     # the normal at a node half a facet away is wrong by more than the distance there
-    shares = np.stack([share] * 3 + [np.minimum(2.0 * share, 1.0)] * 3, axis=1)[corners]
-    integrals.values[near] = values + share[corners][:, :, None] * (weights @ basis - values)
-    integrals.means[near] = means + shares * (weights @ seen - means)
+    shares = share * [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
+    integrals.values[near] = values + share * (weights @ basis - values)
+    integrals.means[near] = means + np.minimum(shares, 1.0) * (weights @ seen - means)
     integrals.hats[near] = areas[:, :, None] * np.eye(facets.corners)
     return near
-
-
-def whole_facet_integrals(facets: Facets) -> tuple[Array, Array]:
-    """Return integrals as if every facet were covered completely. Not collective.
-
-    Returns:
-        (n, corners, corners) integrals of the products of two hat functions, and (n, corners, k)
-        integrals of hat functions times basis functions of the displacement.
-    """
-    x, w = quadrature(facets.cell, 4 * facets.degree + 2)
-    area = facets.area_elements(x) * w
-    hats, basis = facets.hats(x), facets.basis(x)
-    return (
-        np.einsum("nq,qa,qb->nab", area, hats, hats, optimize=True),
-        np.einsum("nq,qa,qk->nak", area, hats, basis, optimize=True),
-    )

@@ -14,19 +14,16 @@ from scipy.sparse import csr_array, vstack
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask, scaled_rows
 from dolfinx_tresca._base.petsc import sparse_matrix
-from dolfinx_tresca.pairing.group import Undeformed
+from dolfinx_tresca.pairing.undeformed import Undeformed
 
 #: Attributes of `PairOperators` with a row for each node.
 NODE_ARRAYS = (
     *("nodes", "weights", "shares", "areas", "places", "normals", "distance", "added_gap"),
-    *("secondary_sagitta", "jump", "primary", "prescribed"),
+    *("secondary_sagitta", "jump", "primary", "prescribed", "has_normal_row"),
 )
 
-#: The indices of nodes of each row of N and of T, and the attributes that have these rows.
-ROW_ARRAYS: dict[str, tuple[str, ...]] = {
-    "normal_node": (),
-    "tangent_node": ("tangents", "semi_axes"),
-}
+#: Attributes of `PairOperators` with a row for each row of T.
+TANGENTIAL_ARRAYS = ("tangents", "tangent_node", "semi_axes")
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class PairOperators:
         primary: (n, nodes of V) sparse matrix of the weighted means over the primary side; rows are
             empty for an obstacle.
         prescribed: (n,) whether the displacement of the node is prescribed along the normal.
-        normal_node: (n_normal,) index in `nodes` of each row of N.
+        has_normal_row: (n,) whether N has a row for the node.
         tangents: (n_tangential, d) unit vector along each row of T; none if there is no friction.
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
         semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
@@ -79,7 +76,7 @@ class PairOperators:
     jump: Any
     primary: Any
     prescribed: Mask
-    normal_node: LocalNumbers
+    has_normal_row: Mask
     tangents: Array
     tangent_node: LocalNumbers
     semi_axes: Array
@@ -89,13 +86,16 @@ class PairOperators:
         """Return the operators at the nodes in a mask (n,). Not collective."""
         if keep.all():
             return self
-        number = np.cumsum(keep, dtype=np.int32) - 1
+        rows, number = keep[self.tangent_node], np.cumsum(keep, dtype=np.int32) - 1
         changes: dict[str, Any] = {name: getattr(self, name)[keep] for name in NODE_ARRAYS}
-        for node, arrays in ROW_ARRAYS.items():
-            rows = keep[getattr(self, node)]
-            changes[node] = number[getattr(self, node)[rows]]
-            changes |= {name: getattr(self, name)[rows] for name in arrays}
+        changes |= {name: getattr(self, name)[rows] for name in TANGENTIAL_ARRAYS}
+        changes["tangent_node"] = number[changes["tangent_node"]]
         return replace(self, **changes)
+
+    @cached_property
+    def normal_node(self) -> LocalNumbers:
+        """The index (n_normal,) in `nodes` of each row of N."""
+        return np.flatnonzero(self.has_normal_row).astype(np.int32)
 
     @cached_property
     def N(self) -> Any:
@@ -144,19 +144,13 @@ class PairOperators:
 
 def joined(operators: Sequence[PairOperators]) -> PairOperators:
     """Return the operators at the nodes of several parts of one group. Not collective."""
-    if len(operators) == 1:
-        return operators[0]
-    starts = np.cumsum([0, *(len(pair.nodes) for pair in operators[:-1])], dtype=np.int32)
-    changes: dict[str, Any] = {
-        node: np.concatenate(
-            [start + getattr(pair, node) for start, pair in zip(starts, operators, strict=True)]
-        )
-        for node in ROW_ARRAYS
-    }
-    for name in (*NODE_ARRAYS, *(name for names in ROW_ARRAYS.values() for name in names)):
+    changes: dict[str, Any] = {}
+    for name in (*NODE_ARRAYS, *TANGENTIAL_ARRAYS):
         arrays = [getattr(pair, name) for pair in operators]
         is_sparse = name in ("jump", "primary")
         changes[name] = vstack(arrays, format="csr") if is_sparse else np.concatenate(arrays)
+    starts = np.cumsum([0, *(len(pair.nodes) for pair in operators[:-1])], dtype=np.int32)
+    changes["tangent_node"] += np.repeat(starts, [len(pair.tangents) for pair in operators])
     return replace(operators[0], bonded=all(pair.bonded for pair in operators), **changes)
 
 

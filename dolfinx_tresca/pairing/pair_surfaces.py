@@ -22,19 +22,13 @@ from dolfinx_tresca._base.parallel import (
     warn,
 )
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.coupling import couple
-from dolfinx_tresca.pairing.group import PairGroup, Undeformed
+from dolfinx_tresca.pairing.coupling import corners_that_carry, couple
+from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
-from dolfinx_tresca.pairing.multipliers import nodes_without_multiplier, owned_nodes
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.facets import (
-    MISMATCH,
-    NEGLIGIBLE,
-    Facets,
-    SurfaceNodes,
-)
-from dolfinx_tresca.pairing.search.pieces import at_own_nodes, halos, with_neighbours
-from dolfinx_tresca.pairing.search.self_contact import SelfContact, opposite_bodies, redundant_nodes
+from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owns, with_neighbours
+from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
+from dolfinx_tresca.pairing.visibility import SelfContact, opposite_bodies, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
@@ -100,7 +94,7 @@ def _pair(
     primary, bodies = None, None
     if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
-        nodes, integrals, carries = obstacle_integrals(comm, str(pair), pair.obstacle, nodes, moved)
+        nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, moved)
         shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
         partners = owned if pair.touches_itself else sides[pair.primary]
@@ -126,10 +120,9 @@ def _pair(
                 shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
                 bodies = opposite_bodies(nodes, overlap.pairs, order)
         if pair.touches_itself:
-            decided = nodes.numbers[shared & owned_nodes(V, nodes)]
+            decided = nodes.numbers[shared & owns(V, nodes.numbers)]
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
-        without = nodes_without_multiplier(V, nodes, integrals, shared)
-        carries = ~without[nodes.facet_nodes]
+        carries = corners_that_carry(V, nodes, integrals, shared)
     together = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved, bodies)
     if pair.pairing == "nodes" and primary is not None and not moved:
         _check_meshes_match(V, pair, together, nodes)
@@ -201,7 +194,7 @@ def _surface_nodes(
     comm = V.mesh.comm
     with errors_on_all_ranks(comm):
         nodes = SurfaceNodes.from_facets(halo)
-        own = owned_nodes(V, nodes)
+        own = owns(V, nodes.numbers)
         has_no_normal = own & nodes.has_no_normal
         if has_no_normal.any():
             raise PairingError(

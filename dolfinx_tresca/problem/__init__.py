@@ -2,7 +2,7 @@
 
 `ContactProblem` (`linear.py`) and `NonlinearContactProblem` (`nonlinear.py`) are processes of load
 steps (`process.ContactProcess`) on a `contact.ContactSystem`, whose K is the stiffness or the
-present tangent (`tangent_system.py`). `newton.Newton` applies the load in parts, and each of its
+present tangent (`tangent_problem.py`). `newton.Newton` applies the load in parts, and each of its
 steps is a solve of the same `TangentProblem`, a `ContactSystem` whose `linear` is a
 `TangentSystem`: `solve` is inherited, load and stiffness are assembled at the present u, which
 `Newton` moves. A load step calls `begin`, then for each Newton step `apply_load`, `factor`, `solve`

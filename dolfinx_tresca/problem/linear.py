@@ -13,17 +13,16 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
-from dolfinx_tresca._base.arrays import real
+from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, warn
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
-from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.errors import ContactError, InputError
 from dolfinx_tresca.guaranteed.bound import (
     GAIN,
     Bodies,
@@ -37,12 +36,11 @@ from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import ContactForce, Goal, NormalForce, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solvers.convergence import SMALLEST_TOLERANCE
+from dolfinx_tresca.scene.pair import ContactForce, ContactPair, Goal, NormalForce, checked_goal
+from dolfinx_tresca.solvers.problem import SMALLEST_TOLERANCE
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 
 class ContactProblem(ContactProcess):
@@ -157,7 +155,7 @@ class ContactProblem(ContactProcess):
         super().__init__(pairs, SolverOptions() if options is None else options, units)
         linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
         solver = stiffness, petsc_options, petsc_options_prefix, expected_solves
-        self._take(ContactSystem(Factorisation(linear, self.pairs, *solver)))
+        self._take(ContactSystem(linear, self.pairs, *solver))
 
     @property
     def stiffness(self) -> PETSc.Mat:
@@ -408,9 +406,7 @@ class ContactProblem(ContactProcess):
         contact = self._contact
         solved = self._solved_for("a guaranteed bound")
         contact.check_inputs("a guaranteed bound")
-        number = real(gain)
-        if number is None or not number > 0.0:
-            raise InputError(f"gain must be a positive number, found {shown(gain)}.")
+        gain = checked_number("gain", gain, "(0, inf]")
         state = contact.state
         moved = any(w.x.array.any() for w in (state.geometry, state.configuration))
         if contact.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
@@ -418,7 +414,7 @@ class ContactProblem(ContactProcess):
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."
             )
-        return Bodies(contact.linear, solved.dual), solved, number
+        return Bodies(contact.linear, solved.dual), solved, gain
 
     @contextmanager
     def record(self) -> Iterator[ProcessTape]:

@@ -8,21 +8,25 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_integer, checked_number
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
+from dolfinx_tresca.dual.nodal_values import replaced
 from dolfinx_tresca.errors import PairingError, StiffnessError
 from dolfinx_tresca.monitor import Iteration, NewtonProgress
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.problem.tangent_problem import TangentProblem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Units
 
 #: A residual within rounding is accepted if it is at least this fraction of the residual before it.
 #: (With twice the value, a body that returns to rest takes 100 steps: in each of them its residual
@@ -56,6 +60,12 @@ ADDED = (
 #: entries do not change the iterates as long as nodes stay in contact.
 FIRST_SLOW = [proximal > 0.0 for _, proximal in ADDED].index(True)
 
+#: Bodies have snapped if they release more than the first part of the energy that they exchange
+#: with contact or store, whichever is larger, and move more than the second number times as far as
+#: obstacles and prescribed values. (A step in which contact of round bodies begins seems to release
+#: 0.2, since its force is no linear function of the motion; one in which an edge passes from node
+#: to node up to 0.6, which the next step takes back.)
+SNAP, FAR = 0.5, 3.0
 
 #: Advice about elements that are unstable since they keep their volume.
 UNSTABLE_ELEMENTS = (
@@ -182,6 +192,87 @@ class NewtonRecord:
         return "\n".join([*lines, self.message] if self.message else lines)
 
 
+class EnergyBalance:
+    """Work, stored energy and friction between the start of a solve and its solution.
+
+    The work of loads, prescribed values and obstacles is that of forces which change linearly with
+    the motion (the trapezoidal rule), as they do in small steps of a quasi-static process. The
+    change of the stored energy is the integral of the internal forces R over the straight path from
+    u_0 to u_1. The energy that remains is
+
+        1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
+
+    with the contact forces C = B'lambda, the displacement v of the obstacles at the nodes, and the
+    dissipation D of friction. Forces at prescribed degrees of freedom and loads that have changed
+    are included. In a smooth step each of the differences vanishes, to third order in the step.
+    """
+
+    def __init__(self, problem: TangentProblem) -> None:
+        """Note displacement and contact forces at the end of the last solve. Collective.
+
+        Args:
+            problem: the problem before its surfaces are paired for the next solve.
+        """
+        state = problem.state
+        self._problem = problem
+        self._motions = state.motions, problem.obstacles.motions
+        self._start = problem.u.x.array.copy()
+        known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
+        ends = known_ends or [np.zeros_like(self._start)]
+        self._begins_at_end = any(np.array_equal(self._start, end) for end in ends)
+        self._forces_at_start, self._work_at_start, _ = self._contact()
+
+    def _contact(self) -> tuple[Array, float, float]:
+        """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
+        problem, multipliers = self._problem, self._problem.state.multipliers
+        jumps, largest = problem.obstacle_jumps(*self._motions)
+        forces = np.array(problem.jump.whole_force(multipliers).array)
+        return forces, float(multipliers @ jumps), largest
+
+    def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
+        """Return the released energy at the present displacement, and whether bodies snap.
+
+        The energy is NaN if the solve did not start where the last one ended, or if internal forces
+        cannot be computed on the straight path. If a function of the user computes them, it is
+        called only where bodies move `FAR`, and the energy is NaN elsewhere. Collective.
+
+        Args:
+            start: values of u at which the solve started.
+            dissipation: D [energy].
+
+        Raises:
+            Exception: an error of the user's functions, on all ranks.
+        """
+        problem, tangent = self._problem, self._problem.tangent
+        forces, work, driven = self._contact()
+        change = problem.u.x.array - self._start
+        owned, moves = change[: len(forces)], tangent.moves
+        sizes = [np.abs(owned[rows]).max(initial=0.0) for rows in (moves, tangent.prescribed)]
+        starts_there = self._begins_at_end and np.array_equal(start, self._start)
+        moved, held, driven, elsewhere = reduce_array(
+            problem.comm, [*sizes, driven, float(not starts_there)], MPI.MAX
+        )
+        is_far = moved > FAR * max(held, driven)
+        if elsewhere or (tangent.has_material and not is_far):
+            return np.nan, False
+        powers = []
+        inner = 0.5 * np.sqrt(0.2)  # Lobatto's rule is exact for polynomials of degree 5
+        try:
+            for fraction in (0.0, 1.0, 0.5 - inner, 0.5 + inner):
+                with replaced([problem.u], [problem.u.x.array - fraction * change]):
+                    powers.append(float(tangent.all_forces() @ owned))
+        except StiffnessError:
+            return np.nan, False
+        at_ends = 0.5 * sum(powers[:2])
+        stored = (sum(powers[:2]) + 5.0 * sum(powers[2:])) / 12.0
+        contact = 0.5 * float((self._forces_at_start + forces) @ owned)
+        local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
+        at_ends, stored, contact, work = reduce_array(problem.comm, local)
+        released = at_ends - stored + contact - work - dissipation
+        is_large = released > SNAP * max(abs(stored), abs(contact))
+        return released, bool(is_large and is_far)
+
+
 @dataclass
 class Newton:
     """Newton's method for one `solve`: the change of load in as few parts as possible.
@@ -223,7 +314,6 @@ class Newton:
     flips: fem.Function | None = None
     _iteration: Iteration | None = None  # the last observed iteration
     _sliding: FiniteSliding | None = None  # of the present part of the load
-    _unstable: bool = False  # whether a step of this part took a slow entry of `ADDED`
 
     def __post_init__(self) -> None:
         """Begin at the present displacement. Not collective."""
@@ -273,9 +363,8 @@ class Newton:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         if UNSTABLE_ELEMENTS in self.failure:
             return text
-        if self._unstable:
-            text += ", and the tangent is indefinite even with fixed contact: they are unstable"
         if any("proximal" in step.added for step in self.steps):
+            text += ", and the tangent is indefinite even with fixed contact: they are unstable"
             text += UNSTABLE_ELEMENTS
         return text
 
@@ -290,7 +379,6 @@ class Newton:
         """
         problem, norm, number = self.problem, math.inf, 0
         errors: list[float] = []  # of each step, divided by the requested error
-        self._unstable = False
         pressed = problem.normal_forces_at_nodes() > 0.0
         self._flips = np.zeros(pressed.shape[1])
         if problem.slides_far:
@@ -406,7 +494,8 @@ class Newton:
             errors: largest ratio of an error to the requested one, for each step.
         """
         most, number = self.options.max_iterations, len(errors)
-        snaps = self._unstable or (self._sliding is not None and self._sliding.snaps)
+        snaps = any("proximal" in step.added for step in self.steps[-number:])
+        snaps |= self._sliding is not None and self._sliding.snaps
         if number < most * (MAX_ITERATIONS_FACTOR if snaps else 1):
             return True
         middle = (number - 1) // 2
@@ -431,7 +520,6 @@ class Newton:
         for level in range(first_level, len(ADDED)):
             try:
                 self.level = level
-                self._unstable |= level >= FIRST_SLOW
                 self.problem.factor(*ADDED[level])
                 # in the Newton residual, the contact residual is multiplied by the added stiffness
                 forcing = FORCING if level > 0 else 1.0

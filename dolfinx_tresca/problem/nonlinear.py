@@ -14,23 +14,20 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca._base.parallel import agreed_observer, warn
+from dolfinx_tresca._base.parallel import agreed_observer, errors_on_all_ranks, warn
 from dolfinx_tresca.contact.contact_system import inputs_changed
-from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import SolverOptions
-from dolfinx_tresca.problem.newton import Newton, NewtonOptions, NewtonRecord
+from dolfinx_tresca.problem.newton import EnergyBalance, Newton, NewtonOptions, NewtonRecord
 from dolfinx_tresca.problem.process import ContactProcess, check_options, problem_to_agree
-from dolfinx_tresca.problem.tangent_problem import TangentProblem
-from dolfinx_tresca.problem.tangent_system import TangentSystem
+from dolfinx_tresca.problem.tangent_problem import TangentProblem, TangentSystem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import StiffnessMethod
-from dolfinx_tresca.table import Row
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Row, Units
 
 #: Rows of a linear solution's table that mean nothing for nonlinear bodies: they describe the
 #: quadratic problem of the last step.
@@ -199,8 +196,7 @@ class NonlinearContactProblem(ContactProcess):
         """
         check_type("F", F, ufl.Form, "a UFL form")
         for name, function in (("before_assembly", before_assembly), ("on_accept", on_accept)):
-            if function is not None and not callable(function):
-                raise InputError(f"{name} must be a function or None, found {shown(function)}.")
+            check_type(name, function, Callable | None, "a function or None")
         if not isinstance(u, fem.Function) or (
             u not in F.coefficients() and (before_assembly is None or J is None)
         ):
@@ -226,8 +222,7 @@ class NonlinearContactProblem(ContactProcess):
         self._F, self._is_symmetrized = F, symmetrize
         tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         solver = stiffness, petsc_options, petsc_options_prefix
-        stiffness_of_tangent = Factorisation(tangent, self.pairs, *solver)
-        self._take(TangentProblem(tangent, on_accept, stiffness_of_tangent))
+        self._take(TangentProblem(tangent, on_accept, self.pairs, *solver))
         self._solves = 0
         self._level = 0
 
@@ -329,6 +324,13 @@ class NonlinearContactProblem(ContactProcess):
         newton = self.newton if newton is None else newton
         _check_options(options, newton)
         observe = agreed_observer(self.comm, observer, "an Iteration, such as a ProgressBar")
+        self._contact.check_not_destroyed()
+        with errors_on_all_ranks(self.comm):
+            if not np.isfinite(self.u.x.array).all():
+                raise InputError(
+                    "u, which the solve starts from, has values that are NaN or infinite."
+                )
+        balance = EnergyBalance(self._contact)
         self._contact.begin()
         self._solves += 1
         run = Newton(self._contact, newton, options, self.units, observe, self._level)
@@ -340,7 +342,7 @@ class NonlinearContactProblem(ContactProcess):
         self._contact.state = replace(state, end=state.unknowns)
         released, snaps = np.nan, False
         if run.solution is not None and run.fraction == 1.0:
-            released, snaps = self._contact.balance.released(run.start, run.solution.dissipation)
+            released, snaps = balance.released(run.start, run.solution.dissipation)
         if snaps:
             warn(
                 self._contact.comm,
@@ -380,4 +382,4 @@ class NonlinearContactProblem(ContactProcess):
             tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
         )
         values = vars(solution) | run.cost | {"status": status, "newton": record}
-        return self._contact.checked(NonlinearContactSolution(**values), linear=False)
+        return self._contact.checked(NonlinearContactSolution(**values))

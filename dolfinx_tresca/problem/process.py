@@ -19,30 +19,27 @@ from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.state_file import SavedState, write_state
-from dolfinx_tresca.contact.step_state import StepSolution
+from dolfinx_tresca.contact.step_state import SavedState, StepSolution, write_state
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
-from dolfinx_tresca.derivatives.goals import value_of
-from dolfinx_tresca.derivatives.gradient_and_tangent import (
+from dolfinx_tresca.derivatives.goals import (
     ContactTangent,
     as_derivatives,
     checked_directions,
     gradient,
     tangent_of,
+    value_of,
 )
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
-from dolfinx_tresca.dual.slip_history import SlipHistory
+from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.goal import Goal, checked_goal
-from dolfinx_tresca.scene.pair import ContactPair, checked_pairs
+from dolfinx_tresca.scene.pair import ContactPair, Goal, checked_goal, checked_pairs
 from dolfinx_tresca.solution.fields import slip_from
 from dolfinx_tresca.solution.forces import Resultant, Supports
-from dolfinx_tresca.table import Row, Tabulated
-from dolfinx_tresca.units import Units
+from dolfinx_tresca.table import Row, Tabulated, Units
 
 
 def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
@@ -137,7 +134,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return [*self._contact.rows(self.units), ("method", method)]
 
     def __repr__(self) -> str:
-        summary, method = self._contact.summary, self._contact.stiffness.method
+        summary, method = self._contact.summary, self._contact.method
         return (
             f"<{type(self).__name__}: {summary.dofs} displacements, {summary.contact_nodes} "
             f"contact nodes in {len(self.pairs)} pair(s), {method}>"
@@ -181,8 +178,9 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
             contact = self._contact
-            contact.advance_material(contact.state.acceptable(unconverged))
-            contact.state = contact.state.after_solution(unconverged)
+            solution = contact.state.acceptable(unconverged)
+            contact.advance_material(solution)
+            contact.state = contact.state.after_solution(solution)
             contact.obstacles.place(contact.state.accepted.motions, only_held_by_forces=True)
 
     @collective(comm_of_self, extra_values=problem_to_agree)
@@ -307,15 +305,15 @@ class ContactProcess(PetscOwner, Tabulated):
         saved = SavedState(Path(self.comm.bcast(str(path))), contact.state, material)
         former, motions = contact.state, contact.obstacles.motions
         try:
-            contact.obstacles.motions = saved.motions
+            contact.obstacles.place(saved.motions)
             contact.pair_where_changed(saved.configuration, saved.geometry)
             contact.state = saved.state(contact.state)
         except ContactError:
-            contact.obstacles.motions = motions
+            contact.obstacles.place(motions)
             contact.return_to(former)
             raise
-        for function, values in zip(material, saved.material, strict=True):
-            function.x.array[:] = values
+        for function, read in zip(material, saved.material, strict=True):
+            function.x.array[:] = read.x.array
         return saved.step
 
     def _check_material(self, material: Sequence[fem.Function]) -> None:
@@ -390,8 +388,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 depends on the solution.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
-        data = self._data_of_solution()
-        data.check_controls(controls)
+        data = self._data_of_solution(controls)
         goals = [(1.0, data.checked_goal(goal))]
         return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
 
@@ -422,13 +419,12 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, nothing holds a body against the change
                 of its loads.
         """
-        data = self._data_of_solution()
-        data.check_controls(controls)
+        data = self._data_of_solution(controls)
         directions = checked_directions(controls, directions)
         return tangent_of(data, self._contact.secondary, controls, directions)
 
-    def _data_of_solution(self) -> DataOfSolution:
-        """Return the data of the last solution, to differentiate them. Collective.
+    def _data_of_solution(self, controls: Sequence[Any]) -> DataOfSolution:
+        """Return the data of the last solution, to differentiate them by controls. Collective.
 
         The number of nodes at the edge of their state is logged.
 
@@ -444,6 +440,7 @@ class ContactProcess(PetscOwner, Tabulated):
         solution.log_edge()
         data = DataOfSolution(self._contact, self._residual_at(u), u)
         data.linearise(solution)
+        data.check_controls(controls)
         return data
 
     @collective(comm_of_self)
@@ -475,16 +472,15 @@ class ContactProcess(PetscOwner, Tabulated):
         fields = contact.solution_for("reaction()").fields
         u = getattr(self, "u", fields.deformation)
         facet_tags = self.pairs[0].given_tags("secondary")[0]
-        linear, contact_force = contact.linear, fields.contact_force
-        forms = self._residual_at(u), linear.bcs, linear.entity_maps
-        supports = Supports(*forms, u, contact_force, self.prescribed, facet_tags)
+        scene = contact.linear, u, fields.contact_force, facet_tags
+        supports = Supports(self._residual_at(u), *scene)
         moved = fields.u if contact.slides_far else None
         result = supports.reaction(where, point, moved=moved, frames=contact.jump.frames)
         tag = integer(where)
         if tag is None:
-            name = f"bcs[{[where is bc for bc in supports.bcs].index(True)}]"
+            name = f"bcs[{[where is bc for bc in contact.linear.bcs].index(True)}]"
         else:
-            name = getattr(supports.facet_tags, "names", {}).get(tag, f"tag {tag}")
+            name = getattr(facet_tags, "names", {}).get(tag, f"tag {tag}")
         fields.reactions[name] = result
         return result
 

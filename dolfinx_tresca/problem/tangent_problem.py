@@ -3,38 +3,238 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.compat import collapse
+from dolfinx_tresca._base.compat import EntityMaps, collapse
 from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.factorisation import Factorisation
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
-from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
-from dolfinx_tresca.problem.tangent_system import TangentSystem
+from dolfinx_tresca.dual.nodal_values import replaced
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+class TangentSystem(LinearSystem):
+    """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
+
+    Here R are internal minus external forces, and h is the part of the change of load that is not
+    applied yet.
+
+    Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is added
+    on both sides, so the solution of a converged iteration does not depend on this stiffness. Its
+    springs in the contact have forces beside, which vanish there where contact holds.
+
+    A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
+    at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
+    at the start. So t applies any change of the loads, whatever has changed in the forms.
+
+    In a mixed space, u has other unknowns besides the displacement, and K is a saddle point.
+
+    Attributes:
+        u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
+        has_material: whether a function of the user computes coefficients of the forms.
+        added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
+            prescribed rows and columns, owned by the caller; None: nothing is added.
+        added_forces: forces [force] at owned degrees of freedom that are added to the load; None:
+            there are none.
+        fraction: the continuation parameter t.
+    """
+
+    is_tangent = True
+
+    cure_of_asymmetry = (
+        "Newton's method takes the symmetric part of the derivative with symmetrize=True, and then "
+        "converges linearly."
+    )
+
+    def __init__(
+        self,
+        J: Any,
+        F: Any,
+        bcs: Sequence[Any],
+        u: fem.Function,
+        entity_maps: EntityMaps | None = None,
+        before_assembly: Callable[[], None] | None = None,
+        axisymmetric: bool = False,
+        V: Any = None,
+    ) -> None:
+        """Compile the forms; nothing is assembled yet. Collective.
+
+        Args:
+            J: derivative of F with respect to u.
+            F: residual form, internal minus external forces.
+            bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
+            u: displacement on which the forms depend, or all unknowns of a mixed space.
+            entity_maps: see `ContactProblem`.
+            before_assembly: function that computes further coefficients of the forms from u.
+            axisymmetric: whether the mesh is the meridian of bodies of revolution.
+            V: the sub-space of the displacement, if a mixed space has several candidates.
+
+        Raises:
+            InputError: forms, conditions and u do not fit together.
+        """
+        super().__init__(J, F, bcs, entity_maps, V, axisymmetric)
+        if u.function_space != self.space:
+            raise InputError(
+                "u must be a Function on the space of F's test function, found one on "
+                f"{u.function_space.ufl_element()}. A displacement of a mixed space W is a part of "
+                "w = fem.Function(W): give w, and write F with ufl.split(w)."
+            )
+        self.u = u
+        self._before_assembly = before_assembly
+        self.has_material = before_assembly is not None
+        forms = [form for form in (F, J) if isinstance(form, ufl.Form)]
+        self._functions = {f: None for form in forms for f in form.coefficients() if f != u}
+        self._updated_at: Array | None = None
+        self._forces: tuple[Array, Array] | None = None  # the latest u and R(u)
+        self.added: PETSc.Mat | None = None
+        self.added_forces: Array | None = None
+        self.fraction = 1.0
+        self._tangent = self.K
+        self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
+        self._initial_residual: Array = np.zeros(len(self.prescribed))
+
+    def destroy(self) -> None:
+        """Free the PETSc matrices. Collective."""
+        if self._tangent is not self.K:
+            self._tangent.destroy()
+        super().destroy()
+
+    def update_material(self) -> None:
+        """Compute the material's coefficients by `before_assembly`, once for each u. Collective.
+
+        Raises:
+            StiffnessError: the user's function leaves values that are NaN or infinite.
+            InputError: the user's function changes u.
+            Exception: an error of the user's function, on all ranks.
+        """
+        if self._before_assembly is None:
+            return
+        u = self.u.x.array
+        same = self._updated_at is not None and np.array_equal(u, self._updated_at)
+        if self.comm.allreduce(same, op=MPI.LAND):
+            return
+        self.u.x.scatter_forward()
+        u, self._updated_at = self.u.x.array.copy(), None
+        with errors_on_all_ranks(self.comm):
+            self._before_assembly()
+            if not np.array_equal(self.u.x.array, u):
+                self.u.x.array[:] = u
+                raise InputError(
+                    "before_assembly() has changed u, which it must only read: Newton's method "
+                    "chooses u."
+                )
+        self.check_functions()
+        self._updated_at = u
+
+    def check_functions(self) -> None:
+        """Check that Functions in the forms, other than u, are finite. Collective.
+
+        Raises:
+            InputError: a Function has values that are NaN or infinite.
+            StiffnessError: `before_assembly` has left such values.
+        """
+        with errors_on_all_ranks(self.comm):
+            fields = [field for field in self._functions if not np.isfinite(field.x.array).all()]
+            names = f"values that are NaN or infinite in {', '.join(map(shown, fields))}"
+            if fields and self.has_material:
+                raise StiffnessError(f"before_assembly() leaves {names}.")
+            if fields:
+                raise InputError(f"F or J depends on {names}.")
+
+    def forget_material(self) -> None:
+        """Let material and forces be computed again, even at the same u. Not collective."""
+        self._updated_at, self._forces = None, None
+
+    @property
+    def outdated(self) -> bool:
+        """Whether coefficients of the form may have changed since K was assembled. Collective."""
+        return self.form is None or super().outdated
+
+    def assemble_stiffness(self) -> None:
+        """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective.
+
+        Raises:
+            StiffnessError: K is not symmetric, or not finite.
+        """
+        self.update_material()
+        if self._tangent is not self.K:
+            self.K.destroy()
+            self.K = self._tangent
+        super().assemble_stiffness()
+        self._tangent = self.K  # K is a new object after each assembly if J is a matrix
+        if self.added is not None:
+            self.K = self._tangent.copy()
+            self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def all_forces(self) -> Array:
+        """Return R(u_k) [force] at all owned degrees of freedom. Collective.
+
+        Nothing is assembled at the u of the last call: a step begins where the one before ended.
+        """
+        u = self.u.x.array
+        same = self._forces is not None and np.array_equal(u, self._forces[0])
+        if self._forces is None or not self.comm.allreduce(same, op=MPI.LAND):
+            self.update_material()
+            forces = fem.Function(self.space)
+            self._assemble_L(forces.x)
+            self._forces = u.copy(), np.array(forces.x.array[: len(self.prescribed)])
+        return self._forces[1].copy()
+
+    def prescribed_values(self) -> Array:
+        """Return the prescribed values of the present `fraction`. Collective."""
+        before, after = self._prescribed_before, super().prescribed_values()
+        return (1.0 - self.fraction) * before + self.fraction * after
+
+    def begin(self, contact_forces: Array) -> None:
+        """Begin the continuation at the present u_k with contact forces B'lambda. Collective."""
+        owned = self.u.x.array[: len(self.prescribed)]
+        self._prescribed_before = owned[self.prescribed]
+        self.fraction = 1.0
+        self._initial_residual = self.residual(contact_forces)
+
+    def residual(self, contact_forces: Array) -> Array:
+        """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective.
+
+        Args:
+            contact_forces: B'lambda on owned degrees of freedom, zero where prescribed.
+        """
+        internal_forces = np.where(self.prescribed, 0.0, self.all_forces())
+        remaining_load = (1.0 - self.fraction) * self._initial_residual
+        return internal_forces + contact_forces - remaining_load
+
+    def assemble_load(self) -> None:
+        """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
+        values = self.prescribed_values()
+        u = np.array(self.u.x.array[: len(self.prescribed)])
+        u[self.prescribed] -= values
+        owned = self.f.x.array[: len(u)]
+        owned[:] = self.product(u).array - self.residual(np.zeros_like(u))
+        if self.added_forces is not None:
+            owned += self.added_forces
+        owned[self.prescribed] = values
+        self.f.x.scatter_forward()
+        self._check_load()
+
 
 #: Nodes touch if their gap is at most this fraction of the largest component of the jumps B u.
 TOUCHING = 1e-6
-
-#: Bodies have snapped if they release more than the first part of the energy that they exchange
-#: with contact or store, whichever is larger, and move more than the second number times as far as
-#: obstacles and prescribed values. (A step in which contact of round bodies begins seems to release
-#: 0.2, since its force is no linear function of the motion; one in which an edge passes from node
-#: to node up to 0.6, which the next step takes back.)
-SNAP, FAR = 0.5, 3.0
 
 
 class TangentProblem(ContactSystem):
@@ -44,16 +244,14 @@ class TangentProblem(ContactSystem):
         u: the present displacement u_k, or all unknowns of a mixed space, at which the tangent is
             taken.
         tangent: the linear system of a step.
-        balance: the balance of energy of the present solve.
     """
-
-    balance: EnergyBalance
 
     def __init__(
         self,
         tangent: TangentSystem,
         on_accept: Callable[[], None] | None,
-        factorisation: Factorisation,
+        pairs: list[ContactPair],
+        *solver: Any,
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
@@ -63,7 +261,8 @@ class TangentProblem(ContactSystem):
         Args:
             tangent: the linear system of a step. The problem owns it.
             on_accept: see `NonlinearContactProblem`.
-            factorisation: object that factors the tangent.
+            pairs: the contact pairs.
+            solver: how to solve with the tangent; see `ContactSurfaces`.
 
         Raises:
             InputError: an argument is wrong.
@@ -71,32 +270,19 @@ class TangentProblem(ContactSystem):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.tangent, self.u, self._on_accept = tangent, tangent.u, on_accept
-        u = self.u
         self._has_history = tangent.has_material or on_accept is not None
-        self._reference = u.x.array.copy() if self._has_history else np.zeros_like(u.x.array)
+        u = self.u.x.array
+        self._reference = u.copy() if self._has_history else np.zeros_like(u)
         self._mixed_norm: PETSc.Mat | None = None  # block of displacements, without conditions
-        with self.at_unknowns(self._reference):
+        with replaced([self.u], [self._reference]):
             if tangent.component is not None:
                 tangent.update_material()
                 tangent.assemble_form()
                 self._mixed_norm = tangent.displacement_stiffness()
-            super().__init__(factorisation)
-        self.unknowns = u
-        # motions of the obstacles at the start and at the end of a solve
-        self._places = (self.obstacles.motions,) * 2
-        self._loads_in_parts = False
+            super().__init__(tangent, pairs, *solver)
+        self.unknowns = self.u
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one
-
-    @contextmanager
-    def at_unknowns(self, values: Array) -> Iterator[None]:
-        """Set u to other values inside the block, and restore it at the end. Not collective."""
-        present = self.u.x.array.copy()
-        self.u.x.array[:] = values
-        try:
-            yield
-        finally:
-            self.u.x.array[:] = present
 
     @property
     def displacement(self) -> fem.Function:
@@ -115,7 +301,7 @@ class TangentProblem(ContactSystem):
             return
         w, is_converged = solution.fields.w, solution.status is ContactStatus.CONVERGED
         try:
-            with self.at_unknowns(w.x.array):
+            with replaced([self.u], [w.x.array]):
                 self.tangent.forget_material()
                 states = w.x.array, w.x.array - self._reference
                 if is_converged and self.is_large(self.residual_norm(), *states):
@@ -193,7 +379,7 @@ class TangentProblem(ContactSystem):
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
         jump = self.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with self.at_unknowns(self._reference):
+            with replaced([self.u], [self._reference]):
                 self.tangent.assemble_stiffness()
             self._stiffness_for = jump, local_stiffness(jump)
         return self._stiffness_for[1]
@@ -227,7 +413,7 @@ class TangentProblem(ContactSystem):
         Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
         other than displacements are zero, too: stiffness added to them would change constraints.
         """
-        with self.at_unknowns(self._reference):
+        with replaced([self.u], [self._reference]):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         free, moves = stiffness.createVecs()
@@ -236,32 +422,26 @@ class TangentProblem(ContactSystem):
         return stiffness
 
     def begin(self) -> None:
-        """Prepare a solve: check u, return to the accepted state, align the rows of B. Collective.
+        """Prepare a solve: return to the accepted state, and align the rows of B. Collective.
 
         Tangent vectors are rotated to the axes of the slip bounds only here, and not in Newton
         steps.
 
         Raises:
-            ContactError: the problem was destroyed.
-            InputError: u has values that are NaN or infinite; or a slip bound is wrong.
+            InputError: a coefficient of the forms or a slip bound is wrong.
         """
-        self.check_not_destroyed()
-        with errors_on_all_ranks(self.comm):
-            if not np.isfinite(self.u.x.array).all():
-                raise InputError(
-                    "u, which the solve starts from, has values that are NaN or infinite."
-                )
         before = self.state.motions
-        self.balance = EnergyBalance(self)
         self.begin_solve()
         accepted = self.state.accepted
         u = accepted.displacement
         same = u is not None and np.array_equal(u.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
             before = accepted.motions  # a trial may have left obstacles elsewhere
-        self._places, self._loads_in_parts = (before, self.obstacles.motions), False
+        self._places = before, self.obstacles.motions  # at the start and at the end of the solve
+        self._loads_in_parts = False
         self.tangent.forget_material()  # the caller may have changed the material's history
-        self.tangent.check_functions()
+        if not self.tangent.has_material:
+            self.tangent.check_functions()
         if self._has_history:
             self._reference = self.u.x.array.copy()
         self.align_tangents(self.slip_bounds())
@@ -288,12 +468,12 @@ class TangentProblem(ContactSystem):
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
         if not np.array_equal(*self._places):
             obstacles = self.obstacles
-            obstacles.motions = obstacles.between(*self._places, fraction)
+            obstacles.place(obstacles.between(*self._places, fraction))
             self.pair_where_changed()
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
-        self.obstacles.motions = self._places[1]
+        self.obstacles.place(self._places[1])
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
@@ -400,84 +580,3 @@ class TangentProblem(ContactSystem):
         forces = self._mixed_norm.createVecLeft()
         self._mixed_norm.mult(u.x.petsc_vec, forces)
         return math.sqrt(max(float(u.x.petsc_vec.dot(forces)), 0.0))
-
-
-class EnergyBalance:
-    """Work, stored energy and friction between the start of a solve and its solution.
-
-    The work of loads, prescribed values and obstacles is that of forces which change linearly with
-    the motion (the trapezoidal rule), as they do in small steps of a quasi-static process. The
-    change of the stored energy is the integral of the internal forces R over the straight path from
-    u_0 to u_1. The energy that remains is
-
-        1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
-
-    with the contact forces C = B'lambda, the displacement v of the obstacles at the nodes, and the
-    dissipation D of friction. Forces at prescribed degrees of freedom and loads that have changed
-    are included. In a smooth step each of the differences vanishes, to third order in the step.
-    """
-
-    def __init__(self, problem: TangentProblem) -> None:
-        """Note displacement and contact forces at the end of the last solve. Collective.
-
-        Args:
-            problem: the problem before its surfaces are paired for the next solve.
-        """
-        state = problem.state
-        self._problem = problem
-        self._motions = state.motions, problem.obstacles.motions
-        self._start = problem.u.x.array.copy()
-        known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
-        ends = known_ends or [np.zeros_like(self._start)]
-        self._begins_at_end = any(np.array_equal(self._start, end) for end in ends)
-        self._forces_at_start, self._work_at_start, _ = self._contact()
-
-    def _contact(self) -> tuple[Array, float, float]:
-        """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
-        problem, multipliers = self._problem, self._problem.state.multipliers
-        jumps, largest = problem.obstacle_jumps(*self._motions)
-        forces = np.array(problem.jump.whole_force(multipliers).array)
-        return forces, float(multipliers @ jumps), largest
-
-    def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
-        """Return the released energy at the present displacement, and whether bodies snap.
-
-        The energy is NaN if the solve did not start where the last one ended, or if internal forces
-        cannot be computed on the straight path. If a function of the user computes them, it is
-        called only where bodies move `FAR`, and the energy is NaN elsewhere. Collective.
-
-        Args:
-            start: values of u at which the solve started.
-            dissipation: D [energy].
-
-        Raises:
-            Exception: an error of the user's functions, on all ranks.
-        """
-        problem, tangent = self._problem, self._problem.tangent
-        forces, work, driven = self._contact()
-        change = problem.u.x.array - self._start
-        owned, moves = change[: len(forces)], tangent.moves
-        sizes = [np.abs(owned[rows]).max(initial=0.0) for rows in (moves, tangent.prescribed)]
-        starts_there = self._begins_at_end and np.array_equal(start, self._start)
-        moved, held, driven, elsewhere = reduce_array(
-            problem.comm, [*sizes, driven, float(not starts_there)], MPI.MAX
-        )
-        is_far = moved > FAR * max(held, driven)
-        if elsewhere or (tangent.has_material and not is_far):
-            return np.nan, False
-        powers = []
-        inner = 0.5 * np.sqrt(0.2)  # Lobatto's rule is exact for polynomials of degree 5
-        try:
-            for fraction in (0.0, 1.0, 0.5 - inner, 0.5 + inner):
-                with problem.at_unknowns(problem.u.x.array - fraction * change):
-                    powers.append(float(tangent.all_forces() @ owned))
-        except StiffnessError:
-            return np.nan, False
-        at_ends = 0.5 * sum(powers[:2])
-        stored = (sum(powers[:2]) + 5.0 * sum(powers[2:])) / 12.0
-        contact = 0.5 * float((self._forces_at_start + forces) @ owned)
-        local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
-        at_ends, stored, contact, work = reduce_array(problem.comm, local)
-        released = at_ends - stored + contact - work - dissipation
-        is_large = released > SNAP * max(abs(stored), abs(contact))
-        return released, bool(is_large and is_far)

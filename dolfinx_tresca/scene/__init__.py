@@ -1,14 +1,15 @@
 """Objects that users give: meshes with tags, pairs of surfaces, laws, obstacles, goals.
 
-Objects of this room are checked when they are made, and keep references to the Constants and
-Functions in them, which users change in place before a solve. Nothing here is computed on nodes.
+Types and shapes are checked when an object of this room is made. It keeps references to the
+Constants and Functions in it, which users change in place before a solve: values of slip bounds and
+gaps are checked at the nodes, by rooms above. Nothing here is computed on nodes.
 
 - `ContactPair`: two surfaces, given by tags, with a law; the primary side may be a `RigidObstacle`.
 - A *law* is `Frictionless`, `Bonded`, or a `DryFriction` with the *terms* of its slip bound
   c + min(F p, l) under the pressure p (`BoundTerms`). Its F may be a `FrictionCurve`, a function of
   pressure and slip.
 - A *scalar field* is what a bound or a gap may be: a number, Constant, Function, expression, or a
-  function of points (`user_fields`).
+  function of points.
 - `RigidMotion`: where an obstacle is, x -> R x + t from where it was made.
 - `NamedTags`, `MergedTags`: tags with their names; lists of tags with one number.
 - `GmshGeometry`: the curved surfaces that facets approximate.

@@ -1,28 +1,121 @@
-"""Friction laws, and coefficients that depend on pressure and slip."""
+"""Friction laws, coefficients that depend on pressure and slip, and the fields that users give."""
 
 from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias, cast
 
 import numpy as np
 
+import ufl
 from dolfinx import fem
-from ufl.classes import Expr
+from ufl.classes import Argument, Coefficient, Derivative, Expr, GeometricQuantity
+from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.arrays import Array, real
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.user_fields import (
-    ScalarField,
-    VectorField,
-    check_scalar_field,
-    check_vector_field,
-    field_text,
+
+#: A scalar on the contact surface; the Constants and Functions in it may be changed in place.
+ScalarField: TypeAlias = (
+    "float | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )
+
+#: A vector of three components on the contact surface; the Constants and Functions in it may be
+#: changed in place.
+VectorField: TypeAlias = (
+    "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
+)
+
+
+def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
+    """Check the type and the shape of a field; other values than NaN are checked at nodes.
+
+    Args:
+        value: the field.
+        shape: () for a scalar, (3,) for a vector.
+        name: the name of the quantity, for error messages.
+
+    Raises:
+        InputError: the value has another shape, is complex or NaN, or has no value at nodes.
+    """
+    field = value.ufl_expression if isinstance(value, fem.Expression) else value
+    if isinstance(field, Expr):
+        _check_expression(field, shape, name)
+    elif isinstance(field, type) or not callable(field):
+        number = real(field)
+        numbers = np.asarray(field if number is None else number)
+        if numbers.dtype.kind not in "iuf" or numbers.shape != shape or np.isnan(numbers).any():
+            raise InputError(
+                f"{name} must be {'three numbers' if shape else 'a number'}, a fem.Constant, "
+                "fem.Function, fem.Expression or UFL expression of this shape, or a function of "
+                f"points, found {shown(value)}."
+            )
+
+
+def invalid(number: float) -> str:
+    """Return the word for a number that is no slip bound: NaN passes no comparison with a bound."""
+    return "NaN" if math.isnan(number) else "negative"
+
+
+def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
+    """Check that a UFL expression has a shape, is real, and has a single value at each node.
+
+    Raises:
+        InputError: the expression has another shape or free indices, or it contains a part that is
+            not float64 or not continuous, or a trial or test function.
+    """
+    if expression.ufl_shape != shape or expression.ufl_free_indices:
+        kind = "a vector of three components" if shape else "a scalar"
+        free = " and free indices" * bool(expression.ufl_free_indices)
+        raise InputError(f"{name} must be {kind}, found shape {expression.ufl_shape}{free}.")
+    for operand in unique_pre_traversal(expression):
+        dtype = np.dtype(getattr(operand, "dtype", np.float64))
+        if dtype != np.float64:
+            raise InputError(f"{name} must be of type float64, found {dtype} in {_text(operand)}.")
+        if isinstance(operand, Argument):
+            raise InputError(
+                f"{name} must not depend on a trial or test function: take a fem.Function instead."
+            )
+        if isinstance(operand, Coefficient):
+            continuous = operand.ufl_element() in ufl.H1
+        else:
+            continuous = not isinstance(operand, Derivative | GeometricQuantity)
+        if not (continuous or isinstance(operand, ufl.SpatialCoordinate)):
+            raise InputError(
+                f"{name} {_text(expression)} has no value at nodes, since {_text(operand)} is not "
+                "continuous. Interpolate or project it into a continuous space."
+            )
+
+
+def field_text(value: ScalarField | VectorField) -> str:
+    """Return a short description of a field, for tables and messages."""
+    if isinstance(value, fem.Function):
+        return f"Function '{value.name}'"
+    if isinstance(value, fem.Constant):
+        return f"Constant, now {numbers_text(value.value)}"
+    if isinstance(value, fem.Expression):
+        value = value.ufl_expression
+    if isinstance(value, Expr):  # UFL's text of vectors has free indices, which nobody can read
+        return _text(value) if value.ufl_shape == () else "an expression"
+    return "a function of points" if callable(value) else numbers_text(value)
+
+
+def numbers_text(value: Any) -> str:
+    """Return the text of a number, or of the components of a vector."""
+    if np.ndim(value) == 0:
+        return f"{float(value):g}"
+    return f"({', '.join(f'{component:g}' for component in value)})"
+
+
+def _text(expression: Expr) -> str:
+    """Return the text of an expression, cut off if it is long."""
+    return textwrap.shorten(str(expression), 80, placeholder=" ...")
+
 
 #: Step of difference quotients, relative to pressure or slip. With a tenth or ten times this step
 #: the quotients have one digit less, which costs iterations only.
@@ -69,16 +162,13 @@ class FrictionCurve:
         Raises:
             InputError: a function returns neither a number nor a number for each node.
         """
-
-        def difference(low: Array, high: Array, function: Callable[[Array], Array]) -> Array:
-            change, result = function(high) - function(low), np.zeros_like(low)
-            return np.divide(change, high - low, out=result, where=high > low)
-
-        p, v = ((1.0 - DIFFERENCE) * argument for argument in (pressure, slip))
-        q, w = ((1.0 + DIFFERENCE) * argument for argument in (pressure, slip))
+        low, high = 1.0 - DIFFERENCE, 1.0 + DIFFERENCE
+        dp, dv = high * pressure - low * pressure, high * slip - low * slip
+        change_with_p = self.values(high * pressure, slip) - self.values(low * pressure, slip)
+        change_with_v = self.values(pressure, high * slip) - self.values(pressure, low * slip)
         return (
-            difference(p, q, lambda x: self.values(x, slip)),
-            difference(v, w, lambda x: self.values(pressure, x)),
+            np.divide(change_with_p, dp, out=np.zeros_like(dp), where=dp > 0.0),
+            np.divide(change_with_v, dv, out=np.zeros_like(dv), where=dv > 0.0),
         )
 
 
@@ -88,9 +178,7 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
     A function that requires two arguments is a curve; a function that requires one argument is a
     function of points.
     """
-    if isinstance(coefficient, type | fem.Constant | fem.Expression | Expr):
-        return None
-    if not callable(coefficient):
+    if isinstance(coefficient, type | fem.Expression | Expr) or not callable(coefficient):
         return None
     try:
         parameters = inspect.signature(coefficient).parameters.values()
@@ -210,11 +298,10 @@ class Tresca(DryFriction):
         """Check the types of the arguments.
 
         Raises:
-            InputError: a bound is not a real scalar, has no single value at a node, or is NaN;
-                `direction` is missing for two bounds, or given for one bound; or it is not a
-                vector.
+            InputError: a bound is not a real scalar, or has no single value at a node; `direction`
+                is missing for two bounds, or given for one bound; or it is not a vector.
         """
-        _check_bound(self.slip_bound, self.direction, "the slip bound")
+        _check_bound(self.slip_bound, self.direction, self.constant_name)
 
     @property
     def terms(self) -> BoundTerms:
@@ -254,10 +341,10 @@ class Coulomb(DryFriction):
     tangential directions either.
 
     Attributes:
-        coefficient: F >= 0 [1], of any type that `Tresca.slip_bound` may have; in 3D also two
-            coefficients (F1, F2), along `direction` and across it: the traction stays within an
-            ellipse with the semi-axes F1 p and F2 p; or a function of two arguments, such as
-            `lambda p, v: 0.3 / (1 + v)`, see below.
+        coefficient: F >= 0 [1], finite (surfaces that never slide are `Bonded`), of any type that
+            `Tresca.slip_bound` may have; in 3D also two coefficients (F1, F2), along `direction`
+            and across it: the traction stays within an ellipse with the semi-axes F1 p and F2 p; or
+            a function of two arguments, such as `lambda p, v: 0.3 / (1 + v)`, see above.
         limit: largest value of the part of the bound that grows with the pressure [stress], a
             scalar of any type that `Tresca.slip_bound` may have: the bound is min(F p, limit), as
             with the shear limit in metal forming. For an ellipse the longer semi-axis is limited,
@@ -293,23 +380,15 @@ class Coulomb(DryFriction):
         """Check the types of the arguments.
 
         Raises:
-            InputError: a coefficient, the limit or the adhesion is not a real scalar, has no single
-                value at a node, or is NaN; a coefficient is a negative or infinite number;
-                `direction` is missing for two coefficients, or given for one coefficient; or it is
-                not a vector.
+            InputError: a coefficient, the limit or the adhesion is not a real scalar, or has no
+                single value at a node; `direction` is missing for two coefficients, or given for
+                one coefficient; or it is not a vector.
         """
-        name = "the coefficient of friction"
         if curve_of(self.coefficient) is None or self.direction is not None:
-            _check_bound(self.coefficient, self.direction, name, COEFFICIENT_ROUNDING)
-        pair = self.coefficient if isinstance(self.coefficient, tuple) else (self.coefficient,)
-        if any(math.isinf(real(value) or 0.0) for value in pair):
-            raise InputError(
-                "the coefficient of friction must be finite. Surfaces that never slide are "
-                "Bonded(), or have Tresca(math.inf) if they may open."
-            )
+            _check_bound(self.coefficient, self.direction, "the coefficient of friction")
         if self.limit is not None:
-            check_scalar_field(self.limit, "the limit of the slip bound")
-        check_scalar_field(self.adhesion, self.constant_name)
+            check_field(self.limit, (), "the limit of the slip bound")
+        check_field(self.adhesion, (), self.constant_name)
 
     @property
     def terms(self) -> BoundTerms:
@@ -329,14 +408,12 @@ class Coulomb(DryFriction):
         return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 
-def _check_bound(
-    bound: Any, direction: VectorField | None, name: str, rounding: float = math.inf
-) -> None:
+def _check_bound(bound: Any, direction: VectorField | None, name: str) -> None:
     """Check the type of one bound, or of two bounds and their direction.
 
     Raises:
         InputError: `direction` is missing for two bounds, or given for one bound; see also
-            `check_scalar_field` and `check_vector_field`.
+            `check_field`.
     """
     values = bound if isinstance(bound, tuple) else (bound,)
     if len(values) != (1 if direction is None else 2):
@@ -346,11 +423,11 @@ def _check_bound(
             f"holds, such as direction=(1, 0, 0); found {len(values)} and {given}."
         )
     if direction is None:
-        check_scalar_field(bound, name, rounding)
+        check_field(bound, (), name)
         return
     for value, side in zip(values, DIRECTION_NAMES, strict=True):
-        check_scalar_field(value, f"{name} {side}", rounding)
-    check_vector_field(direction, f"the direction of {name}")
+        check_field(value, (), f"{name} {side}")
+    check_field(direction, (3,), f"the direction of {name}")
 
 
 def _bound_text(bound: Bound | Callable[[Any, Any], Any], direction: VectorField | None) -> str:

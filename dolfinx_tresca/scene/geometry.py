@@ -1,4 +1,4 @@
-"""The exact geometry of a mesh: projection of points onto its curved surfaces."""
+"""Gmsh's models, and the projection of points onto the curved surfaces that facets approximate."""
 
 from __future__ import annotations
 
@@ -13,9 +13,121 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dolfinx_tresca._base.arguments import check_word, checked_number
 from dolfinx_tresca._base.arrays import Array, integer
-from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.gmsh_files import gmsh_session, open_file
+from dolfinx_tresca.errors import InputError, MeshError, shown
+
+#: Endings of the names of CAD files, and of all files that Gmsh reads here.
+CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs", ".xao")
+SUFFIXES = (".geo", ".msh", *CAD_SUFFIXES)
+
+#: Units of length of coordinates from STEP and IGES files -> the kernel's name.
+UNITS = {"mm": "MM", "cm": "CM", "m": "M", "um": "UM", "km": "KM", "in": "INCH", "ft": "FT"}
+
+
+@contextmanager
+def gmsh_session() -> Iterator[Any]:
+    """Yield the initialised gmsh module; a session that the user has opened keeps its models.
+
+    Raises:
+        MeshError: the Python package gmsh cannot be imported.
+    """
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:
+        raise MeshError(
+            f"reading a Gmsh file needs the Python package gmsh: {error}. Install it with pip, and "
+            "its libraries with apt: libglu1-mesa libgl1 libxrender1 libxcursor1 libxft2."
+        ) from error
+
+    ours = not gmsh.isInitialized()
+    if ours:
+        gmsh.initialize(interruptible=False)
+    current, models = gmsh.model.getCurrent(), len(gmsh.model.list())
+    try:
+        with options(gmsh, {"General.Terminal": 0}):
+            yield gmsh
+    finally:
+        if ours:
+            gmsh.finalize()
+        else:
+            while len(gmsh.model.list()) > models:  # the newest model is current
+                gmsh.model.remove()
+            gmsh.model.setCurrent(current)
+
+
+@contextmanager
+def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
+    """Set options of Gmsh in a block."""
+    before = {name: gmsh.option.getNumber(name) for name in values}
+    try:
+        for name, value in values.items():
+            gmsh.option.setNumber(name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            gmsh.option.setNumber(name, value)
+
+
+def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: str = "mm") -> None:
+    """Open a file in Gmsh.
+
+    Args:
+        gmsh: the module, in a session.
+        path: path of the file, with one of `SUFFIXES`.
+        parameters: values of names that a `.geo` file declares with `DefineConstant`.
+        unit: unit of length of the coordinates, for STEP and IGES files.
+
+    Raises:
+        InputError: the suffix is none of `SUFFIXES`, or the unit none of `UNITS`; or a parameter is
+            not a finite number, or is overwritten by the file.
+        MeshError: the file does not exist, or Gmsh cannot read it.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"read_gmsh reads {', '.join(SUFFIXES)} files, found '{path}'.")
+    check_word("unit", unit, tuple(UNITS))
+    if not path.is_file():
+        raise MeshError(f"there is no file '{path}' (looked for from '{Path.cwd()}').")
+    for name, value in parameters.items():
+        checked_number(f"parameter {name} of '{path}'", value, "(-inf, inf)")
+    if suffix in CAD_SUFFIXES:
+        gmsh.option.setString("Geometry.OCCTargetUnit", UNITS[unit])
+        for option in ("OCCSewFaces", "OCCMakeSolids"):  # IGES files have faces without order
+            gmsh.option.setNumber(f"Geometry.{option}", suffix in (".iges", ".igs"))
+    gmsh.model.add("")  # gmsh.open deletes the current model if it looks empty
+    gmsh.parser.clear()
+    gmsh.onelab.clear()
+    # if Gmsh's parser raised an error itself, the next call would continue with the rest of the
+    # file, even after gmsh.finalize()
+    with options(gmsh, {"General.AbortOnError": 0}), tempfile.TemporaryDirectory() as folder:
+        opened = path
+        if parameters:
+            # DefineConstant does not change a name that is already defined: a file that sets the
+            # values and then includes the user's has the effect of Gmsh's option -setnumber
+            opened = Path(folder) / "with_parameters.geo"
+            lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
+            quote = "'" if '"' in str(path.resolve()) else '"'  # Gmsh has no escape sequence
+            lines.append(f"Include {quote}{path.resolve()}{quote};\n")
+            opened.write_text("\n".join(lines))
+        gmsh.logger.start()
+        try:
+            gmsh.open(str(opened))
+            errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
+        except Exception as error:  # gmsh raises nothing more specific
+            errors = [f"Error: {error}"]
+        finally:
+            gmsh.logger.stop()
+    if errors:
+        raise MeshError(f"Gmsh cannot use '{path}': {errors[0].partition(': ')[2]}")
+    for name, value in parameters.items():
+        actual = gmsh.parser.getNumber(name)[0]
+        if actual != float(value):
+            raise InputError(
+                f"'{path}' sets {name} = {actual:g} itself and ignores the value {float(value):g}. "
+                f"Declare it there as DefineConstant[ {name} = {actual:g} ]."
+            )
+
 
 #: Function from points (3, n) near a surface to the nearest points (3, n) on the surface [length].
 Projection: TypeAlias = Callable[[Array], Array]
@@ -98,15 +210,13 @@ def check_geometry(geometry: Geometry | None) -> None:
     Raises:
         InputError: the argument is not a geometry.
     """
-    if geometry is None or isinstance(geometry, GmshGeometry):
-        return
-    if not isinstance(geometry, Mapping) or not all(
+    is_table = isinstance(geometry, Mapping) and all(
         integer(tag) is not None and callable(function) for tag, function in geometry.items()
-    ):
+    )
+    if not (is_table or geometry is None or isinstance(geometry, GmshGeometry)):
         raise InputError(
-            "geometry must be read_gmsh(...).geometry or a dict such as {7: function}, from the "
-            "tag of facets to a function that maps points (3, n) to the nearest points (3, n) on "
-            f"the surface; found {shown(geometry)}."
+            "geometry must be read_gmsh(...).geometry, or tag of facets -> function from points "
+            f"(3, n) to the nearest points (3, n) on the surface; found {shown(geometry)}."
         )
 
 
@@ -168,9 +278,9 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
             f"{name} must give real points of shape (3, {len(points)}), found {projected.dtype} of "
             f"shape {projected.shape}."
         )
-    if not np.isfinite(projected).all():
-        where = tuple(float(f"{c:.6g}") for c in points[~np.isfinite(projected).all(axis=0)][0])
-        raise InputError(f"{name} gives no finite point next to {where}.")
+    finite = np.isfinite(projected).all(axis=0)
+    if not finite.all():
+        raise InputError(f"{name} gives no finite point next to {points[~finite][0].tolist()}.")
     result = points.copy()
     result[:, :dim] = projected.T[:, :dim]
     return result
@@ -214,9 +324,8 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
     on_surface = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
     if on_surface.mean() < 0.1:  # after a refinement the old nodes, at least about a fourth, are
         raise InputError(
-            "nodes are not on the surfaces of the geometry from which Gmsh made the mesh: the mesh "
-            "was moved or scaled. Give the curved surfaces as functions, by dataclasses.replace("
-            "tagged_mesh, geometry={tag: function}), or geometry=None."
+            "nodes are not on the surfaces from which Gmsh made the mesh: it was moved or scaled. "
+            "Take dataclasses.replace(tagged_mesh, geometry=...) with {tag: function} or None."
         )
     return np.where(on_surface, points, place)
 

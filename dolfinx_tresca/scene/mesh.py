@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -19,21 +20,27 @@ from dolfinx.mesh import MeshTags
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.arguments import check_type, checked_number
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log
 from dolfinx_tresca.errors import InputError, MeshError, shown
-from dolfinx_tresca.scene.geometry import Geometry, GmshGeometry, curved_groups
-from dolfinx_tresca.scene.gmsh_files import (
+from dolfinx_tresca.scene.geometry import (
     CAD_SUFFIXES,
-    CELLS_PER_TURN,
-    check_parameters,
+    Geometry,
+    GmshGeometry,
+    curved_groups,
     gmsh_session,
-    name_groups,
     open_file,
     options,
-    set_sizes,
 )
 
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
+
+#: Number of cells round a full turn of a curved surface.
+CELLS_PER_TURN = 24
+
+#: What the kernel of Gmsh writes into STEP files in place of names.
+NO_NAME = "Open CASCADE STEP translator"
 
 
 class NamedTags(MeshTags):  # type: ignore[misc]
@@ -160,18 +167,13 @@ def read_gmsh(
         >>> bricks.tags["upper_contact"]
         22
     """
-    if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
-        raise InputError(
-            f"comm must be an MPI communicator, such as MPI.COMM_WORLD, found {shown(comm)}."
-        )
+    check_type("comm", comm, MPI.Comm, "an MPI communicator, such as MPI.COMM_WORLD")
     geometry: GmshGeometry | None = None
     if isinstance(path, tuple):
         mesh, cell_tags, facet_tags = path[:3]
-        if not (isinstance(cell_tags, MeshTags) and isinstance(facet_tags, MeshTags)):
-            raise InputError(
-                "the result of model_to_mesh must have tags of cells and of facets: put the bodies "
-                "and their surfaces into physical groups."
-            )
+        for kind, tags_of_kind in (("cells", cell_tags), ("facets", facet_tags)):
+            wanted = "MeshTags, from physical groups of all bodies and surfaces"
+            check_type(f"the tags of {kind}", tags_of_kind, MeshTags, wanted)
         named = getattr(path, "physical_groups", {})
         groups = [(dim, tag, name) for name, (dim, tag) in named.items()]
     else:
@@ -183,9 +185,7 @@ def read_gmsh(
                     model, content = gmsh.model, _meshed(comm, gmsh, path, size, unit, parameters)
             groups, geometry = comm.bcast(content, root=0)
             mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
-    if geometry is None:
-        log(comm, "curved surfaces are not known: gaps follow from the nodes and their normals")
-    elif not geometry.curved:
+    if geometry is not None and not geometry.curved:
         geometry = None
     dims = cell_tags.dim, facet_tags.dim
     names = {d: {tag: name for dim, tag, name in groups if dim == d and name} for d in dims}
@@ -253,15 +253,151 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
             with options(gmsh, {f"Mesh.MeshSize{name}": value for name, value in sizes.items()}):
                 model.mesh.generate(dim)
         except Exception as error:  # gmsh raises nothing more specific
-            hint = (
-                ". Faces of a body that overlap or cross each other, and gaps between faces, "
-                "cannot be meshed: repair them in the CAD program."
-            )
-            raise MeshError(f"Gmsh cannot use '{path}': {error}{hint * is_cad}") from error
+            raise MeshError(
+                f"Gmsh cannot mesh '{path}': {error}. Faces of a body that overlap or cross each "
+                "other, and gaps between faces, must be repaired in the program that made them."
+            ) from error
     kinds = model.mesh.getElementTypes(dim)
     if len(kinds) > 1:
         names = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
+
+
+def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
+    """Check that a file, which is open without parameters, declares the names of parameters.
+
+    Raises:
+        InputError: the file does not declare one of the names, or is no `.geo` file.
+    """
+    if path.suffix.lower() != ".geo":
+        raise InputError(
+            f"'{path}' takes no parameters, found {', '.join(parameters)}. Read the .geo file that "
+            "it was made from instead."
+        )
+    names = gmsh.parser.getNames()
+    unknown = [name for name in parameters if name not in names]
+    if unknown:  # Gmsh's list does not tell parameters from the file's own variables
+        text = path.read_text(errors="replace")
+        texts = " ".join(re.findall(r"DefineConstant\s*\[.*?\]\s*;", text, flags=re.S))
+        declared = [name for name in names if re.search(rf"\b{re.escape(name)}\b", texts)]
+        raise InputError(
+            f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
+            f"{', '.join(declared) or 'none: declare them with DefineConstant'}."
+        )
+
+
+def name_groups(model: Any, name: str) -> None:
+    """Put each body, and each face of a body, of a model without groups into a group of its own.
+
+    Names are the labels of the file. Without label bodies are `body 1`, `body 2`, and the faces of
+    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces, and their faces are curves. Not
+    collective.
+
+    Args:
+        model: the current model of Gmsh.
+        name: name of the model, for error messages.
+
+    Raises:
+        MeshError: there is no body, a face is in no body, or two bodies share a face.
+    """
+    dim, size = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
+    if dim < 2 or (dim == 2 and size[2] > 1e-5 * size.max()):  # boxes of OpenCASCADE are loose
+        raise MeshError(
+            f"'{name}' has {len(model.getEntities(2))} faces and no solid: the faces do not close "
+            "a body (an open shell). Close and sew them in the CAD program, and export solids."
+        )
+    names: set[str] = set()
+
+    def add(entity: tuple[int, int], otherwise: str) -> str:
+        label = model.getEntityName(*entity).rpartition("/")[2]
+        label = otherwise if not label or label.startswith(NO_NAME) else label
+        same = sum(word == label or word.startswith(f"{label} (") for word in names)
+        names.add(word := f"{label} ({same + 1})" if same else label)
+        model.addPhysicalGroup(entity[0], [entity[1]], entity[1], name=word)
+        return word
+
+    bodies = {b: add((dim, b), f"body {k}") for k, (_, b) in enumerate(model.getEntities(dim), 1)}
+    for body, of_body in bodies.items():
+        faces = sorted(abs(face) for _, face in model.getBoundary([(dim, body)], oriented=False))
+        for i, face in enumerate(faces, start=1):
+            sharing = [bodies[number] for number in model.getAdjacencies(dim - 1, face)[0]]
+            if len(sharing) > 1:
+                raise MeshError(
+                    f"bodies {' and '.join(sharing)} in '{name}' share a face, which makes them "
+                    "one body: export them without merging them (in Gmsh without fragment)."
+                )
+            add((dim - 1, face), f"{of_body}/{i}")
+    number = len(model.getEntities(dim - 1))
+    free = number - len(model.getPhysicalGroups(dim - 1))
+    if free:
+        raise MeshError(
+            f"{free} of the {number} faces in '{name}' belong to no body: they are an open shell. "
+            "Close it in the CAD program, or remove the faces."
+        )
+
+
+def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -> None:
+    """Give each body its size of cells, and half of it at faces that are near another body.
+
+    Curved faces have `CELLS_PER_TURN` cells round a turn, if these are smaller. Not collective.
+
+    Args:
+        model: the current model of Gmsh, with a group for each body.
+        size: size of cells [length], or name of a body -> size of its cells; None: from the size of
+            each body, as for bodies that the mapping leaves out.
+        name: name of the model, for error messages.
+
+    Raises:
+        InputError: a size is not a positive number, or no body has a name.
+    """
+    dim = model.getDimension()
+    bodies = {
+        entity: model.getPhysicalName(dim, tag) or str(tag)
+        for tag, entity in _grouped_entities(model, dim)
+    }
+    names, size = dict.fromkeys(bodies.values(), size), {} if size is None else size
+    given = size if isinstance(size, Mapping) else names
+    for body, value in given.items():
+        if body not in names:
+            raise InputError(
+                f"size: '{name}' has no body {shown(body)}; its bodies are {', '.join(names)}."
+            )
+        checked_number("a size of cells", value)
+    fields: list[int] = []
+
+    def field(kind: str, **settings: float | list[int]) -> int:
+        tag, new = int(model.mesh.field.add(kind)), model.mesh.field
+        for option, value in settings.items():
+            (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
+        return tag
+
+    listed, listed_faces = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
+    faces = [
+        (abs(face), entity, *_box(model, dim - 1, abs(face)))
+        for entity in bodies
+        for _, face in model.getBoundary([(dim, entity)], oriented=False)
+    ]
+    for entity, body in bodies.items():
+        cells = float(given.get(body, model.occ.getMass(dim, entity) ** (1.0 / dim) / 6.0))
+        fields.append(field("Constant", VIn=cells, **{listed: [entity]}))
+        low, high = _box(model, dim, entity)
+        near = [
+            face
+            for face, owner, least, largest in faces
+            if owner != entity and (least <= high + cells).all() and (largest >= low - cells).all()
+        ]
+        if near:
+            distance = field("Distance", Sampling=20, **{listed_faces: sorted(near)})
+            limits = {"SizeMin": 0.5 * cells, "SizeMax": cells}
+            limits |= {"DistMin": 0.5 * cells, "DistMax": 3.0 * cells}
+            growing = field("Threshold", InField=distance, **limits)
+            fields.append(field("Restrict", InField=growing, **{listed: [entity]}))
+    model.mesh.field.setAsBackgroundMesh(field("Min", FieldsList=fields))
+
+
+def _box(model: Any, dim: int, entity: int) -> Array:
+    """Return the least and largest coordinates (2, 3) of an entity."""
+    return np.reshape(model.getBoundingBox(dim, entity), (2, 3))
 
 
 def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
@@ -329,8 +465,7 @@ def _check_facets(model: Any, path: Path) -> None:
             raise MeshError(
                 f"{(wrong == wrong[0]).sum()} of the {(tags == wrong[0]).sum()} facets of group "
                 f"{model.getPhysicalName(dim - 1, wrong[0]) or wrong[0]} in '{path}' are not faces "
-                "of a cell: the meshes of the surface and of the volume do not fit together, or no "
-                "volume of that body is in a physical group."
+                "of a cell: the volume is in no physical group, or its mesh is another one."
             )
         table = np.unique(np.column_stack([facet, tags]), axis=0)
         twice = np.flatnonzero(table[1:, 0] == table[:-1, 0])
@@ -339,21 +474,16 @@ def _check_facets(model: Any, path: Path) -> None:
             names = [model.getPhysicalName(dim - 1, tag) or str(tag) for tag in both]
             raise MeshError(
                 f"{len(twice)} facets in '{path}' are in two groups, {names[0]} and {names[1]}: "
-                "a facet has one tag. Put each surface into one group. If they lie between two "
-                "bodies that share their nodes there, these are one body. Contact needs two "
-                "surfaces with nodes of their own: mesh the bodies without merging them (in Gmsh "
-                "without fragment, Coherence and removeDuplicateNodes where they touch), and put "
-                "the face of each body into a group of its own."
+                "a facet has one tag. If they lie between two bodies that share their nodes there, "
+                "mesh the bodies without merging them (in Gmsh without fragment, Coherence and "
+                "removeDuplicateNodes); else put the surface into one group."
             )
 
 
 def _number_nodes(model: Any) -> None:
     """Number the nodes of cells with tags first, without gaps, as DOLFINx requires."""
-    mesh, dim = model.mesh, model.getDimension()
-    (cell,) = mesh.getElementTypes(dim)
-    nodes = [mesh.getElementsByType(cell, entity)[1] for _, entity in _grouped_entities(model, dim)]
+    mesh, groups = model.mesh, model.getPhysicalGroups(model.getDimension())
+    nodes = [mesh.getNodesForPhysicalGroup(*group)[0] for group in groups]
     cell_nodes = np.unique(np.concatenate(nodes))
     before = np.concatenate([cell_nodes, np.setdiff1d(mesh.getNodes()[0], cell_nodes)])
-    wanted = np.arange(1, len(before) + 1)
-    if not np.array_equal(before, wanted):
-        mesh.renumberNodes(before, wanted)
+    mesh.renumberNodes(before, np.arange(1, len(before) + 1))

@@ -1,27 +1,96 @@
-"""Rigid obstacles, given by signed distances."""
+"""Rigid obstacles, given by signed distances, and their rigid motions."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
-from dolfinx_tresca._base.arrays import Array, real
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
-from dolfinx_tresca.scene.user_fields import numbers_text
+from dolfinx_tresca.scene.friction import numbers_text
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
 SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """The motion x -> R x + t.
+
+    Attributes:
+        rotation: (3, 3) orthogonal matrix R.
+        translation: (3,) vector t [length].
+    """
+
+    rotation: Array
+    translation: Array
+
+    @classmethod
+    def about(cls, point: Array, rotation_vector: Array, translation: Array) -> RigidMotion:
+        """Return a rotation about a point, followed by a translation.
+
+        Args:
+            point: (3,) point that the rotation leaves where it is [length].
+            rotation_vector: (3,) axis of the rotation times the angle [rad].
+            translation: (3,) translation [length].
+        """
+        R = Rotation.from_rotvec(rotation_vector).as_matrix()
+        return cls(R, point - R @ point + translation)
+
+    def after(self, earlier: RigidMotion) -> RigidMotion:
+        """Return an earlier motion, followed by this one."""
+        translation = self.rotation @ earlier.translation + self.translation
+        return RigidMotion(self.rotation @ earlier.rotation, translation)
+
+    def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
+        """Return the motion at a fraction of the way to another motion.
+
+        Args:
+            end: the motion at the end of the way.
+            fraction: fraction of the way, from 0 to 1.
+            centre: (3,) point that moves along a straight line [length].
+        """
+        turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
+        R = turn.as_matrix() @ self.rotation
+        ends = [motion.applied_to(centre[:, None])[:, 0] for motion in (self, end)]
+        return RigidMotion(R, (1.0 - fraction) * ends[0] + fraction * ends[1] - R @ centre)
+
+    def applied_to(self, points: Array) -> Array:
+        """Return the positions (3, n) to which points (3, n) move [length]."""
+        moved: Array = self.rotation @ points + self.translation[:, None]
+        return moved
+
+    def reversed_from(self, positions: Array) -> Array:
+        """Return the points (3, n) that move to positions (3, n) [length]."""
+        points: Array = self.rotation.T @ (positions - self.translation[:, None])
+        return points
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RigidMotion) and np.array_equal(self.matrix, other.matrix)
+
+    def __hash__(self) -> int:
+        return hash(self.matrix.tobytes())
+
+    @property
+    def matrix(self) -> Array:
+        """(3, 4) array of R and t."""
+        return np.column_stack([self.rotation, self.translation])
+
+    @classmethod
+    def from_matrix(cls, matrix: Array) -> RigidMotion:
+        """Return the motion with a given (3, 4) array of R and t."""
+        return cls(matrix[:, :3], matrix[:, 3])
 
 
 #: Names of the motions that an obstacle may be free to make, by the dimension of space: along the
@@ -102,8 +171,7 @@ class RigidObstacle:
         """
         if not callable(signed_distance):
             raise InputError(
-                "an obstacle needs a function of points that returns distances and normals, found "
-                f"{shown(signed_distance)}."
+                f"an obstacle needs a function of points, found {shown(signed_distance)}."
             )
         if not all(isinstance(constant, fem.Constant) for constant in constants):
             raise InputError(f"constants must be a list of fem.Constant, found {shown(constants)}.")
@@ -111,7 +179,7 @@ class RigidObstacle:
         self.constants = tuple(constants)
         self._name = str(name)
         self.centre: Array = np.zeros(3)
-        self.motion = RigidMotion.none()
+        self.motion = RigidMotion(np.eye(3), np.zeros(3))
         self.given_forces: GivenForces | None = None
 
     @staticmethod
@@ -254,8 +322,9 @@ class RigidObstacle:
         """
         names = None if free is None else tuple(free)
         if isinstance(free, str) or not set(names or ()) <= set(FREEDOMS[3]):
-            names_of_all = ", ".join(FREEDOMS[3])
-            raise InputError(f"free must be a list of {names_of_all}, found {shown(free)}.")
+            raise InputError(
+                f"free must be a list of {', '.join(FREEDOMS[3])}, found {shown(free)}."
+            )
         given = GivenForces(
             _present(_coordinates, "force", force),
             _present(_axial_vector, "moment", moment),
@@ -271,8 +340,8 @@ class RigidObstacle:
         are not finite are replaced by the largest finite distance.
         """
         with np.errstate(all="ignore"):
-            distance, _ = self.signed_distance(self.motion.reversed_from(points.T))
-            distance = np.asarray(distance, float)
+            returned = self.signed_distance(self.motion.reversed_from(points.T))
+            distance = np.asarray(returned[0], float)
         is_finite = np.isfinite(distance)
         return np.where(is_finite, distance, distance[is_finite].max(initial=0.0))
 
@@ -301,11 +370,10 @@ class RigidObstacle:
         length = np.linalg.norm(normal, axis=0)
         wrong = ~(np.isfinite(distance) & (np.abs(length - 1.0) < 1e-6))
         if wrong.any():
-            point = int(wrong.argmax())
+            k = int(wrong.argmax())
             raise InputError(
                 f"the signed distance of {self} must return finite distances and normals of length "
-                f"1; found distance {distance[point]:g} and length {length[point]:g} at "
-                f"{tuple(float(f'{c:.6g}') for c in points[point])}."
+                f"1; found {distance[k]:g} and the length {length[k]:g} at {points[k].tolist()}."
             )
         return distance, (self.motion.rotation @ normal).T
 
@@ -377,10 +445,8 @@ class RigidSphere(RigidObstacle):
         Raises:
             InputError: the centre is not a point, or the radius is not positive.
         """
-        c, r = (
-            _present(_coordinates, "center", center),
-            _present(checked_number, "radius", radius),
-        )
+        c = _present(_coordinates, "center", center)
+        r = _present(checked_number, "radius", radius)
         kind = "hollow sphere" if hollow else "sphere"
         super().__init__(
             lambda x: _spherical_distance(x - c()[:, None], r(), hollow),
@@ -423,11 +489,7 @@ class RigidCylinder(RigidObstacle):
             InputError: the point or the axis is not a vector, the axis is zero, or the radius is
                 not positive.
         """
-        if getattr(axis, "ufl_shape", np.shape(axis)) == (2,):
-            raise InputError(
-                f"axis must have 3 components, found {shown(axis)}: in 2D the cross-section of a "
-                "cylinder is a disc, RigidSphere(center, radius)."
-            )
+        checked_vector("axis", getattr(axis, "value", axis), 3)
         p, a = _present(_coordinates, "point", point), _present(_direction, "axis", axis)
         r = _present(checked_number, "radius", radius)
 
@@ -479,8 +541,7 @@ def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Arr
     sign = -1.0 if hollow else 1.0
     # at the centre any direction is normal
     normal = np.where(length > 0.0, offset, np.array([[1.0], [0.0], [0.0]]))
-    normal = sign * normal / np.where(length > 0.0, length, 1.0)
-    return sign * (length - radius), normal
+    return sign * (length - radius), sign * normal / np.where(length > 0.0, length, 1.0)
 
 
 def _coordinates(name: str, value: npt.ArrayLike, *, nonzero: bool = False) -> Array:
@@ -499,12 +560,9 @@ def _axial_vector(name: str, value: npt.ArrayLike) -> Array:
     Raises:
         InputError: the value is neither a finite number nor a vector of 3 finite numbers.
     """
-    number = real(value)
-    if number is None and np.shape(value) == (3,):
-        return _coordinates(name, value)
-    if number is None or not math.isfinite(number):
-        raise InputError(f"{name} must be a number or 3 numbers, found {shown(value)}.")
-    return np.array([0.0, 0.0, number])
+    if np.shape(value) == ():
+        return np.array([0.0, 0.0, checked_number(name, value, "(-inf, inf)")])
+    return checked_vector(name, value, 3)
 
 
 def _direction(name: str, value: npt.ArrayLike) -> Array:

@@ -1,27 +1,32 @@
-"""Contact pairs: two surfaces that may touch, and their law of friction."""
+"""Pairs of surfaces that may touch, and goals: numbers computed from a pair's solution."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
+import numpy.typing as npt
 
-from dolfinx.mesh import MeshTags
+from dolfinx.cpp.mesh import MeshTags_int32
 
-from dolfinx_tresca._base.arguments import check_type, check_word, checked_number
+from dolfinx_tresca._base.arguments import (
+    check_type,
+    check_word,
+    checked_integer,
+    checked_number,
+    checked_vector,
+)
 from dolfinx_tresca._base.arrays import integer
 from dolfinx_tresca._base.compat import same_topology
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import Bonded, Friction, Preload
+from dolfinx_tresca.scene.friction import Bonded, Friction, Preload, ScalarField, check_field
 from dolfinx_tresca.scene.geometry import Geometry, check_geometry
 from dolfinx_tresca.scene.mesh import MergedTags, NamedTags
 from dolfinx_tresca.scene.obstacle import RigidObstacle
-from dolfinx_tresca.scene.user_fields import ScalarField, check_scalar_field
 
 Pairing: TypeAlias = Literal["auto", "nodes", "mortar"]
 
@@ -121,32 +126,23 @@ class ContactPair:
         Raises:
             InputError: a tag is not an integer, or an argument has a wrong type.
         """
-        kind = "dolfinx.mesh.MeshTags of facets, such as read_gmsh(...).facet_tags"
-        check_type("facet_tags", self.facet_tags, MeshTags, kind)
-        if self.facet_tags.values.dtype != np.int32:
-            raise InputError(
-                f"facet_tags must have values of type int32, found {self.facet_tags.values.dtype}."
-            )
+        kind = "dolfinx.mesh.MeshTags of facets, of type int32, such as read_gmsh(...).facet_tags"
+        tags = getattr(self.facet_tags, "_cpp_object", self.facet_tags)
+        check_type("facet_tags", tags, MeshTags_int32, kind)
         self._merge_lists_of_tags()
         laws = "a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or Bonded()"
         check_type("friction", self.friction, Friction, laws)
         check_word("pairing", self.pairing, get_args(Pairing))
-        if self.search_distance is not None:
-            distance = checked_number("search_distance", self.search_distance, "(0, inf]")
-            object.__setattr__(self, "search_distance", distance)
+        checked_number("search_distance", self.search_limit, "(0, inf]")
         check_geometry(self.geometry)
         check_word("sliding", self.sliding, get_args(Sliding))
         if isinstance(self.friction, Preload) and self.obstacle is not None:
             raise InputError(f"a preload needs two deformable sides, found {self.primary}.")
         if self.gap is not None:
-            check_scalar_field(self.gap, "the gap")
+            check_field(self.gap, (), "the gap")
             if isinstance(self.friction, Bonded):
-                raise InputError(
-                    "bonded surfaces keep their initial gap: leave out the gap, or take another "
-                    "law of friction."
-                )
-        if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
-            raise InputError(f"name must be a string, found {shown(self.name)}.")
+                raise InputError("bonded surfaces keep their initial gap: leave out the gap.")
+        check_type("name", self.name, str | None, "a string")
 
     def _merge_lists_of_tags(self) -> None:
         """Replace a list of tags by its first tag, also in `facet_tags`.
@@ -160,8 +156,7 @@ class ContactPair:
         if common and set(secondary) != set(primary):
             raise InputError(
                 f"the tags {shown(common)} are on both sides, and others are not: give two lists "
-                "without common tags; or the same list twice, for surfaces that may touch each "
-                "other and themselves."
+                "without common tags, or the same list twice."
             )
         sides = {"secondary": secondary, "primary": secondary if common else primary}
         for name, tags in sides.items():
@@ -180,15 +175,13 @@ class ContactPair:
         given = getattr(self, which)
         if which == "primary" and isinstance(given, RigidObstacle):
             return ()
-        is_list = isinstance(given, Sequence) and not isinstance(given, str)
-        tags = [integer(tag) for tag in (given if is_list else [given])]
+        tags = [integer(tag) for tag in (given if isinstance(given, Sequence) else [given])]
         numbers = tuple(dict.fromkeys(tag for tag in tags if tag is not None))
         if not tags or None in tags or max(map(abs, numbers)) > np.iinfo(np.int32).max:
             obstacle = ", or a RigidObstacle" if which == "primary" else ""
             raise InputError(
                 f"{which} must be the integer tag of a surface, or a list of integer tags"
-                f"{obstacle}, found {shown(given)}. Names of a Gmsh file have their tags in "
-                'read_gmsh(...).tags["name"].'
+                f'{obstacle}, found {shown(given)}. Tags are in read_gmsh(...).tags["name"].'
             )
         return numbers
 
@@ -227,9 +220,8 @@ class ContactPair:
     def __str__(self) -> str:
         if self.name is not None:
             return self.name
-        if self.touches_itself:
-            return f"{self.side('secondary')} on itself"
-        return f"{self.side('secondary')} on {self.side('primary')}"
+        primary = "itself" if self.touches_itself else self.side("primary")
+        return f"{self.side('secondary')} on {primary}"
 
     def side(self, which: SideName) -> str:
         """Return the name of a side: its name in the mesh file, its tag, or the obstacle's name."""
@@ -241,30 +233,19 @@ class ContactPair:
 
 
 def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
-    """Check that all tags of facets and cells are on the mesh of the problem. Collective.
+    """Check that the tags of all pairs are those of facets of the problem's mesh. Collective.
 
     Raises:
         InputError: tags are on another mesh, or on entities of another dimension.
     """
-    dim = mesh.topology.dim
+    dim = mesh.topology.dim - 1
     with errors_on_all_ranks(mesh.comm):
         for pair in pairs:
-            for tags, kind, tagged_dim in (
-                (pair.facet_tags, "facets", dim - 1),
-                (pair.cell_tags, "cells", dim),
-            ):
-                if tags is None:
-                    continue
-                names = ", ".join(getattr(tags, "names", {}).values())
-                text = f"the tags of {kind} of contact pair {pair}" + f" ({names})" * bool(names)
-                if not same_topology(tags, mesh):
-                    raise InputError(
-                        f"{text} belong to another mesh than the function space of the forms."
-                    )
-                if tags.dim != tagged_dim:
-                    raise InputError(
-                        f"{text} mark entities of dimension {tags.dim}, {kind} have {tagged_dim}."
-                    )
+            text = f"the facet_tags of contact pair {pair}"
+            if not same_topology(pair.facet_tags, mesh):
+                raise InputError(f"{text} belong to another mesh than the forms.")
+            if pair.facet_tags.dim != dim:
+                raise InputError(f"{text} have dimension {pair.facet_tags.dim}, facets have {dim}.")
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
@@ -280,7 +261,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
         check_type(f"pairs[{number}]", pair, ContactPair, "a ContactPair")
     if not result:
         raise InputError("a contact problem needs at least one ContactPair, found none.")
-    seen: set[frozenset[Any]] = set()
+    seen: set[Any] = set()  # pairs of surfaces, and names
     for pair in result:
         secondary, primary = (pair.given_tags(name)[1] or (pair.primary,) for name in SIDES)
         sides = {frozenset((tag, other_tag)) for tag in secondary for other_tag in primary}
@@ -289,8 +270,159 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
                 f"two pairs are between the surfaces {pair.side('secondary')} and "
                 f"{pair.side('primary')}: that would constrain their nodes twice. Give one pair."
             )
-        seen |= sides
-    for name, count in Counter(pair.name for pair in result if pair.name is not None).items():
-        if count > 1:
-            raise InputError(f"two pairs have the name {name}: give each a name of its own.")
+        if pair.name is not None and pair.name in seen:
+            raise InputError(f"two pairs have the name {pair.name}: give each a name of its own.")
+        seen |= {*sides, pair.name}
     return result
+
+
+class _OnPair:
+    """Base class of goals, which checks their attributes."""
+
+    pair: int
+
+    def __post_init__(self) -> None:
+        checked_integer("pair", self.pair, 0)
+        for name, value in vars(self).items():
+            if name in ("point", "direction"):
+                checked_vector(name, value, 2, 3, nonzero=name == "direction")
+            elif name in ("radius", "exponent"):
+                interval = "(0, inf)" if name == "radius" else "[1, inf)"
+                object.__setattr__(self, name, checked_number(name, value, interval))
+
+
+@dataclass(frozen=True)
+class NormalForce(_OnPair):
+    """Integral of the contact pressure of a pair [force; in 2D force per length].
+
+    Attributes:
+        pair: number of the pair in the list of the problem, from 0 on.
+
+    Raises:
+        InputError: `pair` is not the number of a pair.
+    """
+
+    pair: int = 0
+
+
+@dataclass(frozen=True)
+class ContactForce(_OnPair):
+    """Component of the contact force on the secondary body [force; in 2D force per length].
+
+    The force includes pressure and friction; see `ContactSolution.resultants`.
+
+    Attributes:
+        direction: (d,) direction of the component, a vector of any length.
+        pair: number of the pair in the list of the problem, from 0 on.
+
+    Raises:
+        InputError: `pair` is not the number of a pair, or `direction` is not a nonzero vector.
+
+    Example:
+        >>> from dolfinx_tresca import ContactForce
+        >>> ContactForce(direction=(1, 0, 0))  # the component along x
+        ContactForce(direction=(1, 0, 0), pair=0)
+    """
+
+    direction: npt.ArrayLike
+    pair: int = 0
+
+
+@dataclass(frozen=True)
+class MeanPressure(_OnPair):
+    """Mean contact pressure around a point [stress], with the weight (1 - r^2/R^2)^2.
+
+    The weight is smooth because the pressure at a point, or its mean over a patch with a sharp
+    edge, has no adjoint solution of finite energy, so that no error estimate would converge. For
+    the peak of a bounded pressure choose a patch so small that the mean is as close to the peak as
+    required. At the edge of a rigid or stiffer body the pressure is unbounded: the mean depends on
+    the radius, however fine the mesh.
+
+    Attributes:
+        point: (d,) centre of the patch [length], on the secondary side or near it.
+        radius: radius R of the patch [length].
+        pair: number of the pair in the list of the problem, from 0 on.
+
+    Raises:
+        InputError: `pair` is not the number of a pair, or the point or the radius is wrong.
+
+    Example:
+        >>> from dolfinx_tresca import MeanPressure
+        >>> MeanPressure(point=(0, 0, 0), radius=0.5)
+        MeanPressure(point=(0, 0, 0), radius=0.5, pair=0)
+    """
+
+    point: npt.ArrayLike
+    radius: float
+    pair: int = 0
+
+
+@dataclass(frozen=True)
+class MeanSlip(_OnPair):
+    """Mean component of the slip along a direction, around a point [length].
+
+    The mean has the weight of `MeanPressure`. The slip is the displacement of the secondary side
+    minus the displacement of the primary side, as in `ContactSolution.slip`.
+
+    Attributes:
+        point: (d,) centre of the patch [length], on the secondary side or near it.
+        radius: radius of the patch [length].
+        direction: (d,) direction of the component, a vector of any length.
+        pair: number of the pair in the list of the problem, from 0 on.
+
+    Raises:
+        InputError: `pair` is not the number of a pair, or the point, the radius or the direction is
+            wrong.
+    """
+
+    point: npt.ArrayLike
+    radius: float
+    direction: npt.ArrayLike
+    pair: int = 0
+
+
+@dataclass(frozen=True)
+class PressureNorm(_OnPair):
+    """Norm of the contact pressure in L^m, (integral of p^m)^(1/m) [stress area^(1/m)].
+
+    The norm is a smooth measure of the peak: the larger m is, the more the largest pressures count.
+    For a given force the norm is smallest if the pressure is uniform.
+
+    Attributes:
+        exponent: m, at least 1; the norm for m = 1 is the normal force.
+        pair: number of the pair in the list of the problem, from 0 on.
+
+    Raises:
+        InputError: `pair` is not the number of a pair, or the exponent is less than 1 or infinite.
+    """
+
+    exponent: float
+    pair: int = 0
+
+
+#: All goals.
+Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip | PressureNorm
+
+
+def checked_goal(goal: Goal, pairs: int, dim: int) -> Goal:
+    """Check the user's argument `goal` and return it. Not collective.
+
+    Args:
+        goal: the argument.
+        pairs: number of pairs of the problem.
+        dim: dimension of space.
+
+    Raises:
+        InputError: the argument is not a goal, its pair does not exist, or its vectors do not have
+            the dimension of space.
+    """
+    kinds = "a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm"
+    check_type("goal", goal, Goal, kinds)
+    if goal.pair >= pairs:
+        raise InputError(
+            f"goal belongs to pair {goal.pair}, but the problem has {pairs}, numbered from 0."
+        )
+    for name in ("point", "direction"):
+        if hasattr(goal, name):
+            checked_vector(f"{name} of the goal", getattr(goal, name), dim)
+    return goal

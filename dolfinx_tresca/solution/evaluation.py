@@ -16,20 +16,18 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import log, reduce_array
-from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.mesh_error import total
+from dolfinx_tresca.dual.accuracy import total
+from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
-from dolfinx_tresca.dual.slip_history import SlipHistory
-from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields, contact_states
+from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields
 from dolfinx_tresca.solution.forces import (
     Resultant,
     nodal_resultants,
     resultants_between,
     resultants_on,
 )
-from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.problem import DualSolution, Point
+from dolfinx_tresca.solvers.problem import DualSolution, Point, energy_norm, relative_error
 
 
 @dataclass(frozen=True)
@@ -111,6 +109,11 @@ class Evaluation:
     greatest_total_slip: float
     reactions: dict[str, Resultant]
 
+    @property
+    def comm(self) -> MPI.Comm:
+        """The communicator of the mesh."""
+        return self.u.function_space.mesh.comm
+
 
 def evaluate(
     dual: DualProgram,
@@ -161,15 +164,29 @@ def evaluate(
     increment, moved_by = (values * B.length_scale for values in (increment, slip))
 
     change, _ = dual.local_change(solution.multipliers, r)
-    at_nodes = node_values(dual, stress, normal, moved, target, moved_by, change)
+    states, steps, before, counts = node_values(dual, normal, moved, target, moved_by, change)
+    pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
+    lengths = np.linalg.norm(steps[:, :-1], axis=1)
+    at_pressed = stress[normal], lengths[pressed], paths[pressed]
+    largest = [values.max(initial=0.0) for values in at_pressed]
+    peak_pressure, greatest_slip, greatest_total_slip = reduce_array(comm, largest, MPI.MAX)
+    in_space = zero_like(B.system.f, "f")
+    owned = -B.whole_force(solution.multipliers).array
+    in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
+    in_space.x.scatter_forward()
+    force_on_nodes = B.system.displacement(in_space, "contact_force")
+    displaced = u if B.frames is not None or B.system.is_tangent else None
+    nodal = owned_values(force_on_nodes)
+    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
     pairs = B.by_pair
     fields: list[SurfaceFields] = []
     pair_states: list[PairState] = []
+    pair_resultants: list[Resultant] = []
     forces: list[Array] = []
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)  # normal, and tangential vector
     for pair, surface in zip(pairs, surfaces, strict=True):
         operators, nodes = pair.operators, pair.nodes
-        pressure, state = np.zeros(len(nodes)), at_nodes.state[nodes]
+        pressure, state = np.zeros(len(nodes)), states[nodes]
         pressure[operators.normal_node] = stress[pair.normal]
         values = {
             "pressure": pressure,
@@ -179,24 +196,27 @@ def evaluate(
             "normal": operators.normals,
         }
         traction = operators.tangential_vectors(stress[pair.tangential])
-        if reduce_array(comm, len(operators.tangent_node)) > 0:
+        numbers = [len(nodes), int(pressed[nodes].sum()), len(operators.tangent_node)]
+        node_count, pressed_count, tangential = map(int, reduce_array(comm, numbers))
+        if tangential > 0:
             since = operators.tangential_vectors(increment[pair.tangential])
             values["traction"] = traction
-            values["slip"] = at_nodes.before[nodes, :-1] + since
-            values["slip_path"] = at_nodes.before[nodes, -1] + at_nodes.steps[nodes, -1]
+            values["slip"] = before[nodes, :-1] + since
+            values["slip_path"] = paths[nodes]
             if dual.history.begun:
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
-        is_pressed = state >= ContactState.PRESSED
-        pressed_nodes, number = reduce_array(comm, [int(is_pressed.sum()), len(nodes)])
         opened = (values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0)
         opening = float(reduce_array(comm, opened, MPI.MAX))
-        pair_states.append(PairState(int(pressed_nodes), int(number), opening))
+        pair_states.append(PairState(pressed_count, node_count, opening))
         force += operators.weights @ np.column_stack([pressure, traction])
         vectors = pressure[:, None] * operators.normals + traction
         forces.append(-operators.weights[:, None] * vectors)
-    steps = np.split(at_nodes.steps, np.cumsum([len(pair.nodes) for pair in B.pairs])[:-1])
-    history = replace(dual.history, origin=origin).after(B, slip, steps, dissipation)
+        index = np.zeros(len(nodes), dtype=np.intp)
+        scene = comm, operators.places, forces[-1], index, 1, on_bodies[0].point
+        pair_resultants += resultants_on(*scene)
+    steps_of_pairs = [steps[nodes] for nodes in B.nodes]
+    history = replace(dual.history, origin=origin).after(B, slip, steps_of_pairs, dissipation)
     resultant = reduce_array(comm, force)
     primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
     if B.frames is not None:
@@ -214,13 +234,6 @@ def evaluate(
             "in the energy norm has nothing to refer to",
         )
     cells = dual.compliance.estimator.cell_errors(deformation) if estimate else None
-    force_on_nodes = _contact_force(B, solution.multipliers)
-    displaced = u if B.frames is not None or B.system.is_tangent else None
-    nodal = owned_values(force_on_nodes)
-    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
-    on_nodes, operators_of_pairs = np.concatenate(forces), [pair.operators for pair in pairs]
-    places = np.concatenate([operators.places for operators in operators_of_pairs])
-    pair_of_node = np.repeat(np.arange(len(pairs)), list(map(len, forces)))
     evaluation = Evaluation(
         u=u,
         w=w,
@@ -239,67 +252,46 @@ def evaluate(
         bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
-        counts=at_nodes.counts,
+        counts=counts,
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
-        pair_resultants=resultants_on(
-            comm, places, on_nodes, pair_of_node, len(pairs), on_bodies[0].point
-        ),
+        pair_resultants=tuple(pair_resultants),
         pair_states=tuple(pair_states),
         body_resultants=on_bodies,
         between_bodies=resultants_between(
-            u.function_space, bodies.label, operators_of_pairs, on_nodes
+            u.function_space, bodies.label, [pair.operators for pair in pairs], forces
         ),
         body_names=bodies.names,
-        peak_pressure=at_nodes.peak_pressure,
-        greatest_slip=at_nodes.greatest_slip,
-        greatest_total_slip=at_nodes.greatest_total_slip,
+        peak_pressure=float(peak_pressure),
+        greatest_slip=float(greatest_slip),
+        greatest_total_slip=float(greatest_total_slip),
         reactions={},
     )
     return evaluation, history
 
 
-class NodeValues(NamedTuple):
-    """Values of a solution at the nodes of all pairs, their counts and extremes on all ranks.
-
-    Attributes:
-        state: (n,) values of `ContactState`.
-        steps: (n, d + 1) slip vectors and lengths of this step [length].
-        before: (n, d + 1) slip vectors and lengths of paths of earlier steps [length].
-        counts: numbers of nodes in each state.
-        peak_pressure: the largest pressure [stress].
-        greatest_slip: the largest slip of this step at pressed nodes [length].
-        greatest_total_slip: the longest path of the slip at pressed nodes [length].
-    """
-
-    state: Array
-    steps: Array
-    before: Array
-    counts: NodeCounts
-    peak_pressure: float
-    greatest_slip: float
-    greatest_total_slip: float
-
-
 def node_values(
     dual: DualProgram,
-    stress: Array,
     normal: Indices,
     moved: FeasibleSet,
     target: Array,
     moved_by: Array,
     change: float,
-) -> NodeValues:
-    """Return states and slips of nodes. Collective.
+) -> tuple[Array, Array, Array, NodeCounts]:
+    """Return states and slips of the nodes of all pairs, and their counts. Collective.
 
     Args:
         dual: the dual problem.
-        stress: (size,) multipliers [stress].
         normal: positions of the normal multipliers of all pairs.
         moved: feasible set at each node's own minimiser, see `DualProgram.decoupled_minimiser`.
         target: (size,) the minimisers.
         moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
         change: largest change of a node's tractions that the iteration leaves [stress].
+
+    Returns:
+        the states (n,), values of `ContactState`; slip vectors and increments of the slip paths
+        (n, d + 1) of this step [length]; those of all earlier steps; and the number of nodes in
+        each state, on all ranks.
     """
     B, node = dual.jump, dual.jump.row_nodes[normal]
     numbers = [len(pair.nodes) for pair in B.pairs]
@@ -314,24 +306,24 @@ def node_values(
     undecided = discs_at_edge(moved, target, B.stress_scale, change)[nodes]
     undecided[node] |= np.abs(target * B.stress_scale)[normal] < change
 
+    conditions = {
+        ContactState.BONDED: bonded,
+        ContactState.STICK: has_friction & pressed & sticks,
+        ContactState.SLIP: has_friction & pressed,
+        ContactState.PRESSED: pressed,
+        ContactState.OPEN_STICK: has_friction & rubs & sticks,  # a positive slip bound
+        ContactState.OPEN_SLIP: has_friction & rubs,
+    }
+    values = [float(state) for state in conditions]
+    states = np.select(list(conditions.values()), values, float(ContactState.OPEN))
     of_pairs = list(zip(B.pairs, B.slices, dual.history.slipped, strict=True))
     vectors = np.vstack([pair.tangential_vectors(moved_by[t]) for pair, (_, t), _ in of_pairs])
     before = np.vstack([slipped[pair.nodes] for pair, _, slipped in of_pairs])
-    lengths = np.linalg.norm(vectors, axis=1)
-    counted = np.where(pressed | rubs, lengths, 0.0)
-    paths = before[:, -1] + counted
-    at_pressed = stress[normal], lengths[pressed], paths[pressed]
-    largest = [values.max(initial=0.0) for values in at_pressed]
+    counted = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
     sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
-    return NodeValues(
-        contact_states(bonded, has_friction, pressed, sticks, rubs),
-        np.column_stack([vectors, counted]),
-        before,
-        NodeCounts(*map(int, sums)),
-        *map(float, reduce_array(B.comm, largest, MPI.MAX)),
-    )
+    return states, np.column_stack([vectors, counted]), before, NodeCounts(*map(int, sums))
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
@@ -351,12 +343,3 @@ def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     ]
     change, largest = reduce_array(comm, sizes, MPI.MAX)
     return float(change / largest) if largest > 0.0 else float(change > 0.0)
-
-
-def _contact_force(B: JumpOperator, x: Array) -> fem.Function:
-    """Return the contact force -B'x [force] of multipliers x. Collective."""
-    force = zero_like(B.system.f, "f")
-    owned = B.whole_force(x).array
-    force.x.array[: len(owned)] = -owned if B.frames is None else -B.frames.into_space(owned)
-    force.x.scatter_forward()
-    return B.system.displacement(force, "contact_force")

@@ -17,7 +17,7 @@ import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
-from dolfinx_tresca._base.agreement import collective
+from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.functions import nodes_of_vertices, zero_like
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -142,7 +142,7 @@ class SurfaceFields:
         """
         return np.isin(self.state.x.array, STICKING)
 
-    @collective(lambda given: given["self"].mesh.comm)
+    @collective(comm_of_self)
     def on_mesh(self, name: str) -> fem.Function:
         """Return a field as a Function on the problem's mesh, of degree 1. Collective.
 
@@ -299,30 +299,6 @@ class Surface:
             _on_both_sides=lambda function: self.on_both_sides(operators, function),
             **functions,
         )
-
-
-def contact_states(
-    bonded: Mask, has_friction: Mask, pressed: Mask, sticking: Mask, rubbing: Mask
-) -> Array:
-    """Return the values (n,) of `ContactState` at nodes. Not collective.
-
-    Args:
-        bonded: (n,) True at nodes of bonded pairs.
-        has_friction: (n,) True at nodes of pairs with friction at any node, on any rank.
-        pressed: (n,) True at pressed nodes.
-        sticking: (n,) True where the traction is below the slip bound.
-        rubbing: (n,) True where the slip bound is positive, so that open nodes stick or slip.
-    """
-    conditions = {
-        ContactState.BONDED: bonded,
-        ContactState.STICK: has_friction & pressed & sticking,
-        ContactState.SLIP: has_friction & pressed,
-        ContactState.PRESSED: pressed,
-        ContactState.OPEN_STICK: has_friction & rubbing & sticking,
-        ContactState.OPEN_SLIP: has_friction & rubbing,
-    }
-    states = [float(state) for state in conditions]
-    return np.select(list(conditions.values()), states, float(ContactState.OPEN))
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:

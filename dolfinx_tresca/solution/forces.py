@@ -18,12 +18,13 @@ from dolfinx import fem
 from dolfinx_tresca._base.arguments import checked_vector
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
-from dolfinx_tresca._base.compat import EntityMaps, owned_dofs
+from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
+from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 @dataclass(frozen=True)
@@ -72,22 +73,6 @@ def moments(arm: Array, force: Array) -> Array:
     return turning if force.shape[-1] == 3 else turning[..., 2:]
 
 
-def centre_of_forces(comm: Any, places: Array, forces: Array) -> Array:
-    """Return the centre (d,) of the bounding box of all points with forces. Collective.
-
-    This is the point of moments unless the user gives another one; the origin without forces.
-
-    Args:
-        comm: communicator of the mesh.
-        places: (n, d) points of application [length].
-        forces: (n, d) forces.
-    """
-    places = places[forces.any(axis=1)]
-    bounds = [places.min(axis=0, initial=np.inf), (-places).min(axis=0, initial=np.inf)]
-    low, high = reduce_array(comm, bounds, MPI.MIN)
-    return 0.5 * (low - high) if np.isfinite(low).all() else np.zeros_like(low)
-
-
 def resultants_on(
     comm: Any, places: Array, forces: Array, index: Indices, number: int, point: Array
 ) -> tuple[Resultant, ...]:
@@ -111,7 +96,9 @@ def resultants_on(
 def nodal_resultants(
     V: Any, forces: Array, displaced: fem.Function | None, index: Indices, number: int
 ) -> tuple[Resultant, ...]:
-    """Return resultants of nodal forces, about the `centre_of_forces`. Collective.
+    """Return resultants of nodal forces about the middle of their points. Collective.
+
+    This is the centre of the bounding box of all points with forces; without forces, the origin.
 
     Args:
         V: the space of the displacement.
@@ -126,12 +113,15 @@ def nodal_resultants(
     places = V.tabulate_dof_coordinates()[: len(rows), :dim]
     if displaced is not None:
         places = places + owned_values(displaced)
-    centre = centre_of_forces(comm, places, rows)
+    loaded = places[rows.any(axis=1)]
+    bounds = [loaded.min(axis=0, initial=np.inf), (-loaded).min(axis=0, initial=np.inf)]
+    low, high = reduce_array(comm, bounds, MPI.MIN)
+    centre = 0.5 * (low - high) if np.isfinite(low).all() else np.zeros(dim)
     return resultants_on(comm, places, rows, index, number, centre)
 
 
 def resultants_between(
-    V: Any, label: npt.NDArray[np.int64], pairs: Sequence[PairOperators], forces: Array
+    V: Any, label: npt.NDArray[np.int64], pairs: Sequence[PairOperators], forces: Sequence[Array]
 ) -> dict[tuple[int, int], Resultant]:
     """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
@@ -142,7 +132,7 @@ def resultants_between(
         V: the space of the displacement.
         label: (owned nodes of V,) the body of each node.
         pairs: the operators of the pairs.
-        forces: (n, d) contact forces on the secondary nodes of all pairs [force].
+        forces: for each pair (n, d) contact forces on its secondary nodes [force].
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     # opposite primary nodes exert a share of the force on a secondary node
@@ -150,7 +140,7 @@ def resultants_between(
     secondary = np.concatenate([pair.nodes for pair in pairs])[shares.row]
     partners, column = np.unique(shares.col, return_inverse=True)
     on, by = label[secondary], labels_of(V, label, partners.astype(np.int64))[column]
-    on_lower = (np.sign(by - on) * shares.data)[:, None] * forces[shares.row]
+    on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
     sizes = np.linalg.norm(on_lower, axis=1)[:, None]
     rows = np.hstack([on_lower, moments(places, on_lower), sizes * places, sizes])
@@ -177,21 +167,16 @@ class Supports:
 
     Attributes:
         residual: internal minus external forces at u, a form of rank 1.
-        bcs: the Dirichlet conditions.
-        entity_maps: entity maps, needed if the form contains Functions on surfaces; None: there are
-            no entity maps.
+        system: the linear system, with the Dirichlet conditions.
         u: the displacement in this form; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
-        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
         facet_tags: tags of facets, for supports that are given by a tag.
     """
 
     residual: ufl.Form
-    bcs: Sequence[Any]
-    entity_maps: EntityMaps | None
+    system: LinearSystem
     u: fem.Function
     contact_force: fem.Function
-    prescribed: Mask
     facet_tags: Any
 
     def reaction(
@@ -231,7 +216,8 @@ class Supports:
             loads = self._at_nodes(at_rest)
             forces = frames.into_space(forces - loads) + loads
         forces -= self.contact_force.x.array[: len(forces)]
-        sizes = [np.abs(forces[rows]).max(initial=0.0) for rows in (~self.prescribed, slice(None))]
+        free = ~self.system.prescribed
+        sizes = [np.abs(values).max(initial=0.0) for values in (forces[free], forces)]
         sizes.append(np.abs(self.contact_force.x.array).max(initial=0.0))
         unbalanced, *largest = reduce_array(V.mesh.comm, sizes, MPI.MAX)
         # solutions of the default accuracy leave less than a hundredth of this
@@ -252,7 +238,7 @@ class Supports:
     def _at_nodes(self, form: Any) -> Array:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
         V = self.contact_force.function_space
-        return owned_values(assembled(form, V, self.entity_maps)).ravel()
+        return owned_values(assembled(form, V, self.system.entity_maps)).ravel()
 
     def _rounding(self) -> float:
         """Return the size of rounding errors of the forces [force]. Collective.
@@ -283,10 +269,10 @@ class Supports:
             InputError: see `reaction`.
         """
         V = self.contact_force.function_space
-        held = np.zeros(len(self.prescribed), dtype=np.bool_)
+        held = np.zeros(len(self.system.prescribed), dtype=np.bool_)
         tag, springs = integer(where), []
         if tag is None:
-            if not any(where is bc for bc in self.bcs):
+            if not any(where is bc for bc in self.system.bcs):
                 raise InputError(
                     "reaction() needs the tag of a surface, or a Dirichlet condition in the list "
                     f"bcs of the problem, found {shown(where)}."
@@ -306,7 +292,7 @@ class Supports:
                 and tag in np.atleast_1d(integral.subdomain_id())
                 and self.u in ufl.algorithms.extract_coefficients(integral.integrand())
             ]
-        held &= self.prescribed
+        held &= self.system.prescribed
         if not springs and not reduce_array(V.mesh.comm, int(held.sum())):
             raise InputError(
                 f"nothing holds the bodies at {shown(where)}: no condition and no spring."

@@ -19,15 +19,14 @@ from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.group import straightened
+from dolfinx_tresca.pairing.facets import FACING_COSINE, Facets
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.search.facets import FACING_COSINE, Facets
-from dolfinx_tresca.pairing.search.pieces import Pieces, near_lines
-from dolfinx_tresca.scene.obstacle import RigidPlane
+from dolfinx_tresca.pairing.pieces import Pieces, near_lines
+from dolfinx_tresca.pairing.undeformed import straightened
+from dolfinx_tresca.scene.obstacle import RigidMotion, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.scene.rigid_motion import RigidMotion
 from dolfinx_tresca.solution.fields import SurfaceFields
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.feasible_set import FrictionCones
 
 
 class Limit(NamedTuple):
@@ -69,7 +68,7 @@ ADVICE_TO_PAIRS = (
 
 
 class Departure(NamedTuple):
-    """A measure of how far a solution has left linear theory, beyond `limit.noticed`.
+    """A measure of how far a solution has left linear theory.
 
     Attributes:
         value: the measure.
@@ -91,10 +90,10 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
 
     Args:
         comm: communicator of the mesh.
-        departures: the departures of the solution.
+        departures: measures of the solution, of which those beyond `limit.noticed` count.
         noticed: the limits whose departures were logged; this call adds to them.
     """
-    departures = comm.bcast(list(departures))
+    departures = comm.bcast([each for each in departures if each.value > each.limit.noticed])
     outside = [departure for departure in departures if departure.value > departure.limit.largest]
     told = outside or [departure for departure in departures if departure.limit not in noticed]
     noticed.update(departure.limit for departure in told)
@@ -128,17 +127,15 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
     angle[angle <= 2.0 * strain] = 0.0
     body = int(angle.argmax())
-    if angle[body] > ROTATION.noticed:
-        ends = 0.5 * angle[body] * size[body]
-        text = f"{bodies.describe(body)} turns by {angle[body]:.3g} rad: its ends move by some "
-        text += f"{ends:.3g}, and linear theory, which allows {ROTATION.largest} rad, swells it by "
-        text += f"{angle[body] * ends:.2g} and leaves its stresses in their first directions"
-        yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
+    ends = 0.5 * angle[body] * size[body]
+    text = f"{bodies.describe(body)} turns by {angle[body]:.3g} rad: its ends move by some "
+    text += f"{ends:.3g}, and linear theory, which allows {ROTATION.largest} rad, swells it by "
+    text += f"{angle[body] * ends:.2g} and leaves its stresses in their first directions"
+    yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
     body = int(strain.argmax())
-    if strain[body] > DEFORMATION.noticed:
-        text = f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its "
-        text += f"rigid motion, {strain[body]:.3g} times its diagonal"
-        yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
+    text = f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its "
+    text += f"rigid motion, {strain[body]:.3g} times its diagonal"
+    yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
 
 
 def motions_of_pairs(
@@ -172,10 +169,9 @@ def motions_of_pairs(
         if pair.obstacle is not None:
             start, end = pair.obstacle.motion, RigidMotion.from_matrix(place)
             angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
-            if angle > ROTATION.noticed:
-                text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
-                text += f"theory allows {ROTATION.largest}"
-                yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
+            text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
+            text += f"theory allows {ROTATION.largest}"
+            yield Departure(angle, ROTATION, text, ADVICE_TO_TOOLS)
             jumps -= _carried(operators.places, start, end)
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
@@ -223,10 +219,9 @@ def _motions_of_pair(
         return
     size = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
     text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
-    if slip > SLIP.noticed * size:
-        of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
-        of_size += "their normals and partners"
-        yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
+    of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
+    of_size += "their normals and partners"
+    yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
     if in_facets > 1.0 and pair.obstacle is None:
         undeformed = operators.undeformed
@@ -235,8 +230,7 @@ def _motions_of_pair(
         left, total = reduce_array(comm, np.array([force @ beyond, force.sum()]))
         text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that have "
         text += "left the other side, but keep their normals and partners"
-        if left > FORCE_BEYOND_PARTNER.noticed * total:
-            yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
+        yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
 
 
 def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
@@ -268,24 +262,24 @@ def hint_at_scene(
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
-        secondary = _bodies_at(bodies, paired.nodes, comm)
-        thinnest = thickness[secondary].min(initial=np.inf)
+        sides = [paired.nodes]
         if pair.obstacle is None:
             facets = pair.facet_tags.find(pair.primary)
             nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-            nodes = nodes[nodes < V.dofmap.index_map.size_local]
-            primary = _bodies_at(bodies, nodes, comm)
-            thinnest = min(thinnest, thickness[primary].min(initial=np.inf))
-            alike = np.array_equal(secondary, primary) and secondary.sum() == 1
-            if alike and not pair.touches_itself:
-                warn(
-                    comm,
-                    "both sides of %s are on body %d: it touches itself. If these should be two "
-                    "bodies, they share nodes: mesh them without merging nodes",
-                    *(pair, 1 + int(secondary.argmax())),
-                )
+            sides.append(nodes[nodes < V.dofmap.index_map.size_local])
+        on_bodies = np.array(
+            [np.bincount(bodies.label[side], minlength=bodies.number) for side in sides]
+        )
+        touches = reduce_array(comm, on_bodies) > 0  # (sides, bodies)
+        if len(sides) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
+            warn(
+                comm,
+                "both sides of %s are on body %d: it touches itself. If these should be two "
+                "bodies, they share nodes: mesh them without merging nodes",
+                *(pair, 1 + int(touches[0].argmax())),
+            )
         depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
-        if depth >= thinnest:
+        if depth >= thickness[touches.any(axis=0)].min(initial=np.inf):
             warn(
                 comm,
                 "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
@@ -374,9 +368,3 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
             "elastic tractions do: there may be several solutions, and sliding may begin suddenly",
             -weakening,
         )
-
-
-def _bodies_at(bodies: Bodies, nodes: Any, comm: MPI.Comm) -> Any:
-    """Return whether each body (number,) has one of the nodes, on any rank. Collective."""
-    node_counts = np.bincount(bodies.label[nodes], minlength=bodies.number)
-    return reduce_array(comm, node_counts) > 0

@@ -1,6 +1,6 @@
 """Linear equations that multipliers must satisfy besides Lambda, and a search for such multipliers.
 
-Numpy only.
+The page begins with sums over ranks and ends with factors of sparse matrices. Numpy only.
 """
 
 from __future__ import annotations
@@ -8,15 +8,74 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.sparse import csr_array, diags_array, eye_array
+from scipy.sparse import block_diag, csc_array, csr_array, diags_array, eye_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, ROUNDING, Array, Indices
 from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.linear_algebra import NodalPattern, Reductions, eigenpairs, factored
+
+
+class InnerProduct(Protocol):
+    """The inner product of distributed vectors."""
+
+    def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
+        """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
+
+
+class Reductions(InnerProduct, Protocol):
+    """Sums over all ranks, and values on which all ranks agree. All methods are collective."""
+
+    def total(self, x: Array) -> Array:
+        """Return the sum of x over all ranks."""
+
+    def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
+        """Return x'y over all ranks, equal on all ranks, for sparse x and y of shape (size, k)."""
+
+    def stacked(self, rows: csr_array) -> csr_array:
+        """Return the rows (size, k) of all ranks in the order of ranks, (n, k)."""
+
+    def from_first_rank(self, x: Array) -> Array:
+        """Return the first rank's x; on the other ranks, x may differ by rounding."""
+
+
+def norm(space: InnerProduct, v: Array) -> float:
+    """Return the Euclidean norm of v (size,) over all ranks. Collective."""
+    return float(np.sqrt(space.inner(v, v)))
+
+
+class NodalPattern:
+    """The sparsity of a matrix that couples only multipliers of the same node."""
+
+    def __init__(self, nodes: Indices) -> None:
+        """Group multipliers.
+
+        Args:
+            nodes: (size,) the node of each multiplier.
+        """
+        size = len(nodes)
+        index = np.unique(nodes, return_inverse=True)[1]
+        member = csr_array((np.ones(size), (np.arange(size), index)), shape=(size, size))
+        self._pattern = csr_array(member @ member.T)
+        self._pattern.sort_indices()  # as operations with a matrix that shares its indices may do
+        # multipliers of one node have different colours
+        order = np.argsort(index, kind="stable")
+        numbers = np.bincount(index)
+        colour = np.empty(size, dtype=np.intp)
+        colour[order] = np.arange(size) - (np.cumsum(numbers) - numbers)[index[order]]
+        self._units = (colour[:, None] == np.arange(colour.max(initial=0) + 1)).astype(np.float64)
+        row = np.repeat(np.arange(size), np.diff(self._pattern.indptr))
+        self._entries = row, colour[self._pattern.indices]
+
+    def matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
+        """Return the matrix (size, size) of a linear map of arrays (size, columns)."""
+        pattern, values = self._pattern, nodal(self._units)[self._entries]
+        return csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape, copy=True)
 
 
 @dataclass(frozen=True)
@@ -222,18 +281,15 @@ def balance(
         p = feasible_set.project(y + constraints.columns @ z)
         return agreed(constraints.along(p) + C @ z - target)
 
-    def rounding(z: Array) -> tuple[Array, Array]:
-        """Return two rounding errors (k,) of the residual: from summing it, and from G z."""
-        p = feasible_set.project(y + constraints.columns @ z)
-        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
-        terms, cancelled = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
-        summed = ROUNDING * (terms + abs(C) @ np.abs(z) + sizes)
-        return agreed(summed), agreed(np.finfo(float).eps * cancelled)
-
     z, damping, unbounded = np.zeros_like(target), DAMPING, False
     for _ in range(MOST_STEPS):
         gradient = excess(z)
-        small, cancelled = rounding(z)
+        # two rounding errors of the residual: from summing it, and from G z
+        p = feasible_set.project(y + constraints.columns @ z)
+        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
+        terms, of_sum = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
+        small = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + sizes))
+        cancelled = agreed(np.finfo(float).eps * of_sum)
         # once `unbounded` is proven, one more step makes the direction of z more accurate
         if unbounded or ROUNDING * cancelled.max() > LOST * small.max():
             break
@@ -274,3 +330,41 @@ def _damped_solution(matrix: csr_array, right: Array, damping: float) -> Array:
 def _dot(x: Array, y: Array) -> float:
     """Return x'y, summed in a fixed order, so that ranks on different processors agree."""
     return float(np.cumsum(x * y)[-1])
+
+
+def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
+    """Return eigenvalues (k,) and eigenvectors (k, k) of a symmetric matrix.
+
+    Rows that nonzero entries connect, directly or through other rows, are treated as one dense
+    block: the cost grows with the sum of the cubes of the blocks' sizes. Eigenpair number j belongs
+    to the block of row j; the eigenvalues of a block ascend.
+
+    Args:
+        matrix: (k, k) symmetric, k > 0.
+    """
+    label = connected_components(matrix, directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    blocks = np.split(order, np.cumsum(np.bincount(label))[:-1])
+    rows = csr_array(matrix)
+    pairs = [np.linalg.eigh(rows[block][:, block].toarray()) for block in blocks]
+    vectors = csr_array(block_diag([csr_array(vectors) for _, vectors in pairs]))
+    place = np.argsort(order)
+    return np.concatenate([values for values, _ in pairs])[place], vectors[place][:, place]
+
+
+def factored(matrix: csr_array) -> Any | None:
+    """Return SciPy's triangular factors of a symmetric matrix; None if there is a zero pivot.
+
+    The matrix is factored as L U without pivoting, which for positive definite matrices is as
+    stable as Cholesky's method.
+    """
+    try:
+        return splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
+    except RuntimeError:
+        return None
+
+
+def is_positive_definite(matrix: csr_array) -> bool:
+    """Return whether all pivots of a sparse symmetric matrix are positive (Sylvester)."""
+    factors = factored(matrix)
+    return factors is not None and bool((factors.U.diagonal() > 0.0).all())

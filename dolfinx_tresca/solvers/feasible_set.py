@@ -1,13 +1,15 @@
-"""The feasible set Lambda, its projection, and its faces. Numpy only.
+"""The multipliers that laws of contact and friction allow. Numpy only.
 
-All functions are local to a rank.
+`FeasibleSet` is Lambda for given slip bounds, with its projection and its faces; in `FrictionCones`
+bounds depend on pressure and slip. All functions are local to a rank.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol, TypeAlias
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -220,3 +222,317 @@ class FeasibleSet:
         factor = np.ones_like(self.radius)
         np.divide(self.radius, norms, out=factor, where=where)
         return self.scaled_discs(v, factor)
+
+
+class Curve(Protocol):
+    """A coefficient of friction as a function of pressure and slip."""
+
+    def values(self, pressure: Array, slip: Array) -> Array:
+        """Return F (n,) at pressures (n,) [stress] and slips (n,) [length]."""
+
+    def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
+        """Return dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length]."""
+
+
+#: A curve with the pressures (n,) [stress] and slips (n,) [length] of its nodes.
+CurveAtNodes: TypeAlias = tuple[Curve, Array, Array]
+
+
+def pressed_values(
+    curve: Curve, pressure: Array, slip: Array, points: Array | None = None
+) -> Array:
+    """Return F (n,) at nodes under pressure and 0 at open nodes, where F may be infinite.
+
+    Args:
+        curve: the coefficient of friction.
+        pressure: (n,) pressures [stress].
+        slip: (n,) slips [length].
+        points: positions of the nodes, on which F does not depend.
+    """
+    with np.errstate(all="ignore"):
+        return np.where(pressure > 0.0, curve.values(pressure, slip), 0.0)
+
+
+@dataclass(frozen=True)
+class NodalCurves:
+    """The curves of all discs, as functions of multipliers and their gradient.
+
+    A multiplier is a stress times the root of its node's area, and a component of the gradient is
+    a length times the same root.
+
+    Attributes:
+        of_discs: for each curve the range of its discs, and the curve.
+        root: (n_discs,) root of the node's area.
+    """
+
+    of_discs: Sequence[tuple[slice, Curve]]
+    root: Array
+
+    @np.errstate(all="ignore")
+    def coefficients(self, constant: Array, pressure: Array, slip: Array | float) -> Array:
+        """Return F (n_discs,): values of the curves, and `constant` for discs without a curve.
+
+        Values that are negative or not finite become zero: iterates may have pressures and slips
+        far from those of the solution. The values at the solution are checked afterwards.
+
+        Args:
+            constant: (n_discs,) coefficients of discs without a curve.
+            pressure: (n_discs,) normal multiplier.
+            slip: (n_discs,) norm of the tangential gradient.
+        """
+        result = constant.copy()
+        for discs, curve, p, v in self.arguments(pressure, slip):
+            result[discs] = np.maximum(_finite(curve.values(p, v)), 0.0)
+        return result
+
+    @np.errstate(all="ignore")
+    def slopes(self, pressure: Array, slip: Array | float) -> Array:
+        """Return dF/dp and dF/dv (2, n_discs), zero for discs without a curve."""
+        result = np.zeros((2, len(self.root)))
+        for discs, curve, p, v in self.arguments(pressure, slip):
+            result[:, discs] = _finite(np.array(curve.slopes(p, v)))
+        return result / self.root
+
+    def arguments(
+        self, pressure: Array, slip: Array | float
+    ) -> list[tuple[slice, Curve, Array, Array]]:
+        """Return the discs of each curve, the curve, and its nodes' pressures and slips (n,)."""
+        p: Array = np.maximum(pressure, 0.0) / self.root
+        v: Array = np.divide(slip, self.root)
+        return [(discs, curve, p[discs], v[discs]) for discs, curve in self.of_discs]
+
+
+def _finite(values: Array) -> Array:
+    """Return values, with zeros in place of those that are not finite."""
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+@dataclass(frozen=True)
+class FrictionCones(FeasibleSet):
+    """The convex set lambda_nu >= 0, |lambda_tau| <= c + min(F lambda_nu, l) of each node.
+
+    For c = 0 and without limit l, each node has a second-order cone. The section of the set at
+    given pressures is a set Lambda of Tresca friction. A solution with friction that depends on the
+    pressure minimises q over its own section, not over this set.
+
+    If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
+    at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of a
+    single point, which `at_point` sets; they serve to move nearby points into the set.
+
+    Attributes:
+        radius: (n_discs,) c >= 0, maybe infinite.
+        normal_of: (n_discs,) position of the normal multiplier with which each bound grows; -1 for
+            bounds that do not depend on a pressure.
+        coefficient: (n_discs,) F >= 0.
+        limit: (n_discs,) l >= 0, maybe infinite.
+        curves: coefficients that depend on pressure and slip; None: there are none.
+        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; 0.0 for
+            all discs.
+    """
+
+    has_given_bounds = False
+
+    normal_of: Indices
+    coefficient: Array
+    limit: Array
+    curves: NodalCurves | None = None
+    slip: Array | float = 0.0
+
+    @property
+    def movable(self) -> Mask:
+        """Which discs (n_discs,) may have nonzero multipliers."""
+        pressed = (self.coefficient > 0.0) & (self.limit > 0.0) & (self.normal_of >= 0)
+        return (self.radius > 0.0) | pressed
+
+    def at_point(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
+        """Return the cones with the coefficients of friction at the pressures and slips of a point.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) gradient at x, with the terms of the equality constraints; its tangential
+                part is minus the slip.
+            target: (size,) end of a gradient step from x. A node that friction at rest would hold
+                there counts as sticking, with the slip zero, unless friction decreases at the
+                present slip. Bodies are at rest before they slide: for a coefficient that falls
+                steeply, Newton's method would else find the solution in which they slide.
+        """
+        if self.curves is None:
+            return self
+        pressure, slip = self._pressures(x), self.norms(r)
+        if target is not None:
+            at_rest = dataclasses.replace(self, slip=0.0).section(x).radius
+            weakens = dataclasses.replace(self, slip=slip).slopes(x)[1] < 0.0
+            slip = np.where((self.norms(target) <= at_rest) & ~weakens, 0.0, slip)
+        moved = dataclasses.replace(self, slip=slip)
+        return dataclasses.replace(moved, coefficient=moved._coefficients(pressure))
+
+    def section(self, x: Array) -> FeasibleSet:
+        """Return Lambda with the bounds at the pressures of x (size,)."""
+        pressure = self._pressures(x)
+        radius = self._bound(pressure, self._coefficients(pressure))
+        return FeasibleSet(self.size, self.normal, self.tangential, self.node, radius)
+
+    def slip_along(self, face: Face) -> Array:
+        """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
+        return face.along_radius(np.zeros_like(self.radius) + self.slip)
+
+    def with_bound_change(
+        self, x: Array, face: Face, diagonal: Array
+    ) -> Callable[[Array, Array], Array]:
+        """Return the function (s, v) -> s + Q s + S v, for Newton steps.
+
+        Here s is a step along the face, and v the right-hand side of its equation: for example
+        s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
+        node's pressure to the change of its bound, along the node's tangential multiplier. S maps v
+        to the change of the bound that is due to the slip: along the multiplier, v is the change of
+        the slip for s = 0. The change of the bound itself changes the slip, by -D times the change
+        of the bound. So both maps contain the factor 1 / (1 + h D), with the derivative h of the
+        bound with respect to the slip. Both maps take arrays (size,) or (size, k).
+
+        Args:
+            x: (size,) multipliers.
+            face: face with the projector P.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+        """
+        slopes = self.slopes(x, face.slip)
+        damping = 1.0 + slopes[1] * self.disc_means(diagonal)
+        slope, by_slip = slopes / np.where(damping == 0.0, 1.0, damping)
+        follows = bool(by_slip.any())
+
+        def change(step: Array, v: Array) -> Array:
+            growth = (self._pressures(step).T * slope).T
+            if follows:
+                growth += (face.radial_parts(v).T * by_slip).T
+            return step + face.along_radius(growth)
+
+        return change
+
+    def project(self, y: Array) -> Array:
+        """Return the point of the set nearest to y (size,)."""
+        pressure, ratio, _ = self._nearest(y)
+        result: Array = self.scaled_discs(y, ratio)
+        result[self.normal] = np.maximum(y[self.normal], 0.0)
+        has = self.normal_of >= 0
+        result[self.normal_of[has]] = pressure[has]
+        return result
+
+    def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
+        """Return a slant derivative of `project` at y: a map of (size,) or (size, k)."""
+        _, ratio, jacobian = self._nearest(y)
+        has, t, norms = self.normal_of >= 0, self.tangential, self.norms(y)
+        direction = np.zeros_like(y)
+        direction[t] = y[t] / np.where(norms > 0.0, norms, 1.0)[self.node]
+        pressed = np.ones(self.size)
+        pressed[self.normal] = y[self.normal] > 0.0
+
+        def derivative(v: Array) -> Array:
+            if self.size == 0:  # reshape cannot infer a number of columns
+                return v
+            columns = v.reshape(self.size, -1)
+            radial = self.sums(direction[:, None] * columns)
+            pressure = np.where(has[:, None], columns[self.normal_of], 0.0)
+            result: Array = self.scaled_discs(columns * pressed[:, None], ratio)
+            moved, along = jacobian[:, 0] * pressure + jacobian[:, 1] * radial
+            result[t] += direction[t, None] * (along - ratio[:, None] * radial)[self.node]
+            result[self.normal_of[has]] = moved[has]
+            return result.reshape(v.shape)
+
+        return derivative
+
+    def slopes(self, x: Array, where: Mask | bool = True) -> Array:
+        """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g.
+
+        Args:
+            x: (size,) multipliers.
+            where: (n_discs,) discs whose slopes are wanted. Other slopes are zero, and so are those
+                where F p exceeds its limit.
+        """
+        pressure = self._pressures(x)
+        coefficient = self._coefficients(pressure)
+        grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
+        result = np.array([coefficient, np.zeros_like(coefficient)])
+        if self.curves is not None:
+            result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
+        return np.where(grows, result, 0.0)
+
+    def dilation(self, x: Array, r: Array) -> Array:
+        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
+
+        Args:
+            x: (size,) multipliers.
+            r: (size,) gradient at x; its tangential part is minus the slip.
+        """
+        result, has = np.zeros_like(x), self.normal_of >= 0
+        opening = self.slopes(x)[0] * self.norms(r)
+        result[self.normal_of[has]] = opening[has]
+        return result
+
+    def exceed_limit(self, x: Array) -> Mask:
+        """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
+        pressure = self._pressures(x)
+        return np.asarray(self._coefficients(pressure) * pressure > self.limit)
+
+    def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
+        """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
+        if self.curves is None:
+            return []
+        arguments = self.curves.arguments(self._pressures(x), self.slip)
+        return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
+
+    def _coefficients(self, pressure: Array) -> Array:
+        """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""
+        if self.curves is None:
+            return self.coefficient
+        return self.curves.coefficients(self.coefficient, pressure, self.slip)
+
+    def _pressures(self, x: Array) -> Array:
+        """Return the normal multiplier on which each bound depends; 0 if there is none.
+
+        Args:
+            x: (size,) or (size, k) multipliers.
+
+        Returns:
+            (n_discs,) or (n_discs, k).
+        """
+        result = np.zeros((len(self.normal_of), *x.shape[1:]))
+        has = self.normal_of >= 0
+        result[has] = x[self.normal_of[has]]
+        return result
+
+    def _bound(self, pressure: Array, coefficient: Array) -> Array:
+        grown = coefficient * np.maximum(pressure, 0.0)
+        return np.asarray(self.radius + np.minimum(grown, self.limit))
+
+    def _nearest(self, y: Array) -> tuple[Array, Array, Array]:
+        """Return the nearest points of the set in each node's half-plane (pressure, radius).
+
+        The boundary of the set in this plane has three edges: on the axis of zero pressure up to
+        the radius c, along a slope up to the radius c + l, and from there with constant radius.
+
+        Returns:
+            normal multipliers (n_discs,); norms of the tangential multipliers, divided by their
+            norms before the projection (n_discs,), 1 if that norm is zero; and the derivative
+            (2, 2, n_discs, 1) of pressure and radius with respect to their values before.
+        """
+        given, nodes = np.array([self._pressures(y), self.norms(y)]), np.arange(len(self.radius))
+        grows = (self.normal_of >= 0) & np.isfinite(self.radius)
+        zero, unit = np.zeros(len(nodes)), np.ones(len(nodes))
+        F = np.where(grows, self.coefficient, zero)
+        secant, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
+        np.divide(self.limit, F, out=end, where=F > 0.0)
+        origins = np.array([[zero, zero], [zero, self.radius], [end, self.radius + self.limit]])
+        directions = np.array([[zero, unit], [unit / secant, F / secant], [unit, zero]])
+        lengths = np.array([self.radius, end * secant, np.inf * unit])
+        with np.errstate(invalid="ignore"):  # edges at infinity
+            along = np.clip(((given - origins) * directions).sum(axis=1), 0.0, lengths)
+            feet = origins + along[:, None] * directions
+            distances = np.linalg.norm(given - feet, axis=1)
+        edge = np.argmin(np.where(np.isnan(distances), np.inf, distances), axis=0)
+        inside = (given[0] >= 0.0) & (given[1] <= self._bound(given[0], self.coefficient))
+        pressure, radius = np.where(inside, given, feet[edge, :, nodes].T)
+        ratio = np.ones_like(radius)
+        np.divide(radius, given[1], out=ratio, where=given[1] > 0.0)
+        moves = ((along > 0.0) & (along < lengths))[edge, nodes]
+        direction = np.where(moves, directions[edge, :, nodes].T, 0.0)
+        jacobian = np.where(inside, np.eye(2)[:, :, None], direction[:, None] * direction)
+        return pressure, ratio, jacobian[..., None]

@@ -19,14 +19,15 @@ from dolfinx_tresca._base.tolerances import (
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
-from dolfinx_tresca.solvers.constraints import balance
-from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
-from dolfinx_tresca.solvers.linear_algebra import norm
+from dolfinx_tresca.solvers.constraints import balance, norm
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
     DualSolution,
     FrictionDeficit,
+    History,
     KnownProducts,
+    NaturalResidual,
+    Observe,
     Point,
 )
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, WholeModel
@@ -148,7 +149,9 @@ class Iterate:
             return
         else:
             self._length = self._energy_norm(direction)
-            r, error = self._gradient(self.x + direction, self._requested_error)
+            r, error = self._gradient(
+                self.x + direction, max(self._part * self._length, self.finest)
+            )
             # the difference of gradients: errors of gradients do not accumulate over the steps
             product = r - self.r
             self.learned = self.store.add(direction, product, error + self.error)
@@ -210,11 +213,6 @@ class Iterate:
         """Return the energy norm of x (size,), with the model in place of A. Collective."""
         return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
 
-    @property
-    def _requested_error(self) -> float:
-        """The requested error of the next gradient."""
-        return max(self._part * self._length, self.finest)
-
     def _gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return a gradient and its error; record the error if the solver cannot reduce it."""
         r, error = self._problem.response.gradient(x, accuracy)
@@ -228,7 +226,7 @@ class Iterate:
             self._part *= FORCING
             self.finest *= FORCING
             self.learned = True
-            self.refine(self._requested_error)
+            self.refine(max(self._part * self._length, self.finest))
 
     def refine(self, accuracy: float) -> None:
         """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
@@ -286,7 +284,7 @@ class ModelNewton:
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
             if store.largest_ritz_value == 0.0 and store.near is not None:
-                store.near_product(b)
+                store.near.add(b, store.apply_near(b))
             elif store.largest_ritz_value == 0.0:
                 store.add(b, self.problem.operator.apply(b))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,13 +14,88 @@ from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Matrix, dense
 from dolfinx_tresca._base.tolerances import MOST_STEPS
-from dolfinx_tresca.solvers.linear_algebra import (
-    LEAST_SOFTNESS,
-    NodalMaps,
-    NodalPattern,
-    Reductions,
-    solve_or_fit,
-)
+from dolfinx_tresca.solvers.constraints import NodalPattern, Reductions
+from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
+
+#: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
+#: multipliers. With this softness, the linear systems have a solution even if the constraints have
+#: none.
+LEAST_SOFTNESS = 1e-10
+
+
+#: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
+#: where a bound of friction is nearly zero, would hide the other equations of its node. With 1e150,
+#: a slip bound of 1e-300 overflows.
+STIFFEST = 1e8
+
+
+@dataclass(frozen=True)
+class NodalMaps:
+    """The maps T and R in the equations T M s + R s - T G c = T r and G's + S c = e.
+
+    Here M is the model of A, and G and S belong to equality constraints. Such equations determine
+    Newton steps s on a face, and steps towards an adjoint solution. Each map couples only
+    multipliers of the same node, and is applied to arrays (size,) or (size, columns).
+
+    Attributes:
+        test: T, applied to both sides of the equation.
+        added: R, such as the curvature of the circles of slipping nodes, and the identity at
+            multipliers that do not change.
+        inverse: (T D + R)^-1 T with the diagonal D of the model.
+    """
+
+    test: Callable[[Array], Array]
+    added: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+
+    @classmethod
+    def on_face(
+        cls,
+        cones: FeasibleSet,
+        x: Array,
+        face: Face,
+        diagonal: Array,
+        stiffness: Array,
+    ) -> NodalMaps:
+        """Return the maps for Newton steps s on a face. Not collective.
+
+        With the projector P onto the face, the diagonal C of curvatures, the change Q of slip
+        bounds with the pressure and their change H with the slip, s solves
+
+            P (M s + C s - G c) = P r,  s - (I + Q) P s = H (r - M s + G c).
+
+        Args:
+            cones: the friction cones, with the functions Q and H.
+            x: (size,) point on the face.
+            face: the face.
+            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+            stiffness: (size,) C >= 0, the same for all degrees of freedom of a disc.
+        """
+        stiffness = np.minimum(stiffness, STIFFEST * diagonal)
+        project, weight = face.project, np.reciprocal(diagonal + stiffness)
+        follow = cones.with_bound_change(x, face, diagonal)
+        change = cones.with_bound_change(x, face, np.zeros_like(diagonal))
+
+        def scaled(factors: Array, v: Array) -> Array:
+            return np.asarray((factors * v.T).T)
+
+        def added(v: Array) -> Array:
+            along = project(v)
+            return scaled(stiffness, along) + scaled(diagonal, v - change(along, np.zeros_like(v)))
+
+        return cls(
+            test=lambda v: project(v) + scaled(diagonal, change(np.zeros_like(v), v)),
+            added=added,
+            inverse=lambda v: follow(scaled(weight, project(v)), v),
+        )
+
+
+def solve_or_fit(matrix: Array, right: Array) -> Array:
+    """Return the solution; for a singular matrix, the least-squares solution of least norm."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right)[0], dtype=np.float64)
 
 
 class BlockBFGSModel:
@@ -230,13 +306,6 @@ class ProductStore:
             self._append(new, new_product, error, new_energy)
         return True
 
-    def near_product(self, x: Array) -> Array:
-        """Return the product D x of the near field (size,), and keep it. Collective."""
-        assert self.near is not None
-        product = self.apply_near(x)
-        self.near.add(x, product)
-        return product
-
     def split(self, x: Array) -> tuple[Array, Array]:
         """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
         product = np.zeros_like(x)
@@ -312,16 +381,16 @@ class ProductStore:
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
         return max(float(least.max()), of_near_field)
 
-    def apply(self, x: Array, apply_base: Callable[[Array], Array]) -> Array:
-        """Return M x (size,), with M as in `model` and D given as a function. Collective.
+    def apply_with_near(self, x: Array) -> Array:
+        """Return M x (size,), with the near field D in `model`, and keep the product. Collective.
 
         Args:
             x: (size,) vector.
-            apply_base: function that applies D, the model of A without known pairs, to an array
-                (size,); it is called once.
         """
+        assert self.near is not None
         new, product = self.split(x)
-        image = apply_base(new)
+        image = self.apply_near(new)
+        self.near.add(new, image)
         return product + image - self.Y @ self._reductions.inner(self.W, image)
 
     def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
@@ -449,8 +518,7 @@ class WholeModel:
         # all other rows have a zero right-hand side and no coupling: s is zero there
         moving = np.flatnonzero((np.diff(T.indptr) > 0) | (np.diff(R.indptr) > 1))
         T, R = T[moving], R[moving][:, moving]
-        used = np.unique(T.indices)
-        matrix = (T[:, used] @ self._shifted[used][:, moving] + R) / unit
+        matrix = ((T @ self._shifted)[:, moving] + R) / unit
         G = self._reductions.stacked(G)
         soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
         loaded = 1.0 / unit * self._gathered(maps.test(right))[moving]

@@ -8,10 +8,8 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS, SHORT_PATIENCE
-from dolfinx_tresca.solvers.convergence import NaturalResidual
-from dolfinx_tresca.solvers.linear_algebra import NodalMaps
-from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
-from dolfinx_tresca.solvers.products import ProductStore, WholeModel
+from dolfinx_tresca.solvers.problem import DualProblem, Model, NaturalResidual, Point
+from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
 #: model. With the value 1, as for convex problems, each node would take the state that minimises q
@@ -366,7 +364,7 @@ def solve_model(
         step = target.x - point.x
         if float(problem.inner(step, step)) == 0.0:
             break
-        r = point.r + store.apply(step, store.near_product) - G @ (target.c - point.c)
+        r = point.r + store.apply_with_near(step) - G @ (target.c - point.c)
         target = replace(target, r=r)
         if (reached := residual.norm_at(target)) < least:
             best, least = target, reached

@@ -149,19 +149,16 @@ class BodyFrames:
         owned = len(self.guides)
         mean, moments = self._moments(self._positions(u)[:owned])
         translation = np.where(self.has_frame[:, None], mean - self.centre, 0.0)
-        rotation = np.tile(np.eye(3), (len(mean), 1, 1))
-        for body in np.flatnonzero(self.has_frame):
-            M, e = moments[body], self.axis[body]
-            if e.any():
-                axial = [M[k, j] - M[j, k] for j, k in ((1, 2), (2, 0), (0, 1))]  # sum of X x x
-                turned = float(e @ axial), float(np.trace(M) - e @ M @ e)
-                rotation[body] = Rotation.from_rotvec(np.arctan2(*turned) * e).as_matrix()
-            else:
-                left, _, right = np.linalg.svd(M)
-                left[:, 2] *= np.linalg.det(left @ right)
-                rotation[body] = left @ right
-            if np.abs(rotation[body] - np.eye(3)).max() <= ROUNDING:
-                rotation[body] = np.eye(3)
+        # a body that turns about an axis has the moments of its positions across the axis, and
+        # along the axis so large a moment that the axis stays
+        along = self.axis[:, :, None] * self.axis[:, None, :]
+        across = np.eye(3) - along
+        sizes = np.linalg.norm(moments, axis=(1, 2), keepdims=True)
+        left, _, right = np.linalg.svd(across @ moments @ across + sizes * along)
+        left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
+        rotation = left @ right
+        turned = np.abs(rotation - np.eye(3)).max(axis=(1, 2)) > ROUNDING
+        rotation[~(turned & self.has_frame)] = np.eye(3)
         size = np.abs(self._points).max(initial=0.0) + np.abs(translation).max(initial=0.0)
         size = float(reduce_array(self.V.mesh.comm, size, MPI.MAX))
         translation[np.abs(translation).max(axis=1) <= ROUNDING * size] = 0.0
@@ -183,19 +180,18 @@ class BodyFrames:
 
     def into_space(self, v: Array) -> Array:
         """Return R v for nodal values (nodes * d,) of this rank, with or without ghosts."""
-        return self._turned("nij,nj->ni", v)
+        return self._rotated(v, self.rotation)
 
     def into_frames(self, values: Array) -> Array:
         """Return R'f for nodal values (nodes * d,) of this rank, with or without ghosts."""
-        return self._turned("nji,nj->ni", values)
+        return self._rotated(values, self.rotation.swapaxes(1, 2))
 
-    def _turned(self, product: str, values: Array) -> Array:
-        """Return the products of R with nodal values (nodes * d,), as `numpy.einsum` names them."""
+    def _rotated(self, values: Array, rotation: Array) -> Array:
+        """Return nodal values (nodes * d,), multiplied by a matrix (bodies, 3, 3) of each body."""
         dim = self.V.mesh.geometry.dim
         vectors = values.reshape(-1, dim)
-        rotation = self.rotation[self.label[: len(vectors)], :dim, :dim]
-        turned: Array = np.einsum(product, rotation, vectors)
-        return turned.ravel()
+        matrices = rotation[self.label[: len(vectors)], :dim, :dim]
+        return np.asarray(np.einsum("nij,nj->ni", matrices, vectors).ravel())
 
     def displacement(self, v: fem.Function) -> fem.Function:
         """Return u = u_R + R v [length] of a displacement v in the frames. Not collective."""
@@ -231,8 +227,8 @@ class BodyFrames:
         positions = [self._positions(u) for u in (before, after)]
         means = [self._moments(x[:owned])[0] for x in positions]
         frames = [self.moved_with(u) or self for u in (before, after)]
-        turn = np.einsum("bij,bkj->bik", frames[1].rotation, frames[0].rotation)
-        turn = Rotation.from_rotvec(fraction * Rotation.from_matrix(turn).as_rotvec()).as_matrix()
+        turn = frames[1].rotation @ frames[0].rotation.swapaxes(1, 2)
+        turn = (Rotation.from_matrix(turn) ** fraction).as_matrix()
         arm = positions[1] - means[1][label]
         moved = means[1] + fraction * (means[1] - means[0])
         x = moved[label] + np.einsum("nij,nj->ni", turn[label], arm)

@@ -1,8 +1,9 @@
-"""The solver for K u = f: a PETSc KSP with its own options."""
+"""The solver for K u = f: a PETSc KSP, with the options of a factorisation or of multigrid."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -10,12 +11,15 @@ from petsc4py import PETSc
 
 import numpy as np
 
+import dolfinx.fem.petsc
+from dolfinx import fem
+
 from dolfinx_tresca._base.arguments import check_type
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Mask
 from dolfinx_tresca._base.parallel import warn
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
 from dolfinx_tresca._base.tolerances import ROUGH
-from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
+from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
 
 #: Advice for breakdowns without a solution, by PETSc's reason.
 _ADVICE = {
@@ -25,10 +29,8 @@ _ADVICE = {
     ),
     PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC: (
         "The preconditioner is not positive definite. Either K is not, by the material data; or "
-        "stiffnesses differ so much (by 1e12, say) that rounding spoils the coarse matrices or, "
-        "on several ranks, the smoother misjudges its largest eigenvalue. stiffness='cholesky' "
-        "has no preconditioner and tells which: take it, or make soft parts less soft, or raise "
-        "mg_levels_esteig_ksp_max_it in petsc_options."
+        "stiffnesses differ so much (by 1e12, say) that rounding spoils the multigrid. Take "
+        "stiffness='cholesky', which tells which, or raise mg_levels_esteig_ksp_max_it."
     ),
 }
 
@@ -177,7 +179,6 @@ class StiffnessSolver(PetscOwner):
             ContactError: the solver was destroyed.
             StiffnessError: the iteration broke down.
         """
-        self.check_ready()
         if self.exact:
             return self.solve(f, u)
         tolerances = self._ksp.getTolerances()
@@ -200,9 +201,8 @@ class StiffnessSolver(PetscOwner):
         self.matrix.mult(u, Ku)
         square, work = float(u.dot(Ku)), float(u.dot(f))
         Ku.destroy()
-        factor = work / square if 0.0 < square < np.inf else 0.0
-        if not np.isfinite(factor):
-            factor = 0.0
+        factor = work / square if square > 0.0 else 0.0
+        factor = factor if np.isfinite(factor) else 0.0
         u.scale(factor)
         return factor != 0.0
 
@@ -271,9 +271,8 @@ class StiffnessSolver(PetscOwner):
         error = residual.norm(PETSc.NormType.INFINITY) / terms
         if error > 1e-8:  # a factorisation leaves about 1e-16, whatever the condition of K
             raise StiffnessError(
-                f"the {self.name} solver for K, {self}, does not iterate, and leaves {error:.1e} "
-                "of K u as residual: that is no exact solve, and errors would not be known. Take "
-                'petsc_options={"ksp_type": "cg"} with this preconditioner.'
+                f"{self}, without iteration, leaves {error:.1e} of K u as residual: that is no "
+                'exact solve, and errors would not be known. Take {"ksp_type": "cg"}.'
             )
 
     @property
@@ -335,6 +334,215 @@ class StiffnessSolver(PetscOwner):
             self._ksp = None
 
 
+#: Workspace of MUMPS beyond its own estimate, in percent. The estimate may be too low by more than
+#: the default of 20, as for a column of 300 bodies.
+SPARE_WORKSPACE = 200
+
+
+def cholesky(
+    K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None = 0
+) -> StiffnessSolver:
+    """Return a solver with the factors of K, or of a saddle-point matrix (A, B'; B, -C).
+
+    Collective.
+
+    Args:
+        K: the matrix.
+        petsc_options: PETSc options in addition to the defaults.
+        prefix: prefix of the user's options in PETSc's database; None: there is none.
+        constraints: number of unknowns other than displacements, such as pressures. The number of
+            negative pivots must equal this number. By Sylvester's law of inertia A + B'C^-1 B is
+            then positive definite; if C is zero, A is positive definite on the vectors u with
+            B u = 0. None: the pivots are not checked.
+
+    Raises:
+        StiffnessError: the factorisation failed, or the pivots show that K is not positive
+            definite, or that a saddle-point matrix is singular or has the wrong signs.
+    """
+
+    def check(ksp: PETSc.KSP) -> None:
+        pc = ksp.getPC()
+        if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
+            return  # the user has chosen another solver
+        factor = pc.getFactorMatrix()
+        failure, reason, negative, zero = map(factor.getMumpsInfog, (1, 2, 12, 28))
+        if failure < 0:
+            raise StiffnessError(
+                f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} (-10: "
+                "singular, -9 or -13: out of memory). For large models take stiffness='multigrid'."
+            )
+        if constraints == 0 and negative > 0:
+            raise not_positive_definite(f"{negative} of {K.getSize()[0]} pivots are negative")
+        if constraints != 0 and zero > 0:
+            raise StiffnessError(
+                f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Nothing holds a body; "
+                "or a pressure is not determined, since all of the boundary is clamped, or since "
+                "spaces are no stable pair, such as degree 2 for u and degree 1 for p."
+            )
+        if constraints and negative != constraints:
+            error = StiffnessError(
+                f"K has {negative} negative pivots, but {constraints} unknowns that are no "
+                "displacements. Check the material data, and the signs of the form: a(u, v) + "
+                "b(v, p) + b(u, q) - c(p, q), where c(p, p) >= 0 and a is positive definite."
+            )
+            if negative > constraints:
+                error.evidence = f"{negative - constraints} pivots of displacements are negative"
+            raise error
+
+    options: dict[str, Any] = {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
+        # CHOLMOD's default for small matrices, LDL', accepts negative pivots
+        "mat_cholmod_factor": "SUPERNODAL",
+        "mat_cholmod_print": 0,  # PETSc reports errors
+        # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among
+        # the orderings in Debian's MUMPS (AMD, AMF, QAMD, PORD) gives the sparsest factors of 3D
+        # bodies
+        "mat_mumps_icntl_7": 5,
+        "mat_mumps_icntl_14": SPARE_WORKSPACE,
+    }
+    if constraints == 0:  # no pivoting: K is positive definite, or the check above fails
+        options["mat_mumps_cntl_1"] = 0.0
+    else:  # L D L' with pivots of size 1 and 2, whose signs are counted
+        options["mat_mumps_icntl_13"] = 1  # no ScaLAPACK in the last front: it counts no signs
+        options["mat_mumps_icntl_24"] = 1  # detect zero pivots
+    return StiffnessSolver("cholesky", K, options, petsc_options, prefix, check=check)
+
+
+def multigrid(
+    K: PETSc.Mat,
+    V: Any,
+    prescribed: Mask,
+    petsc_options: Mapping[str, Any],
+    prefix: str | None,
+) -> StiffnessSolver:
+    """Return a solver for K by conjugate gradients with multigrid. Collective.
+
+    For degree 2, errors are smoothed on V and on the space of degree 1 on the same mesh, and GAMG
+    is applied to the matrix P'KP of the latter, with the interpolation P; for degree 1, GAMG is
+    applied to K. If the options name a `pc_type`, GAMG or another, this preconditioner is applied
+    to K; if they name a smoother, Chebyshev's polynomials complete its options.
+
+    Args:
+        K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
+            and columns for prescribed values.
+        V: the space of the unknowns u.
+        prescribed: (owned degrees of freedom,) whether each is prescribed.
+        petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
+            apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,
+            below degree 1.
+        prefix: prefix of the options in PETSc's database.
+
+    Raises:
+        StiffnessError: the set-up failed.
+    """
+    # options of the user in the argument and in PETSc's database
+    given = {*petsc_options, *(() if prefix is None else PETSc.Options(prefix).getAll())}
+    krylov: dict[str, Any] = {
+        "ksp_type": "cg",
+        "ksp_norm_type": "natural",  # sqrt(r'M^-1 r), which is nearly the error in the energy norm
+        "ksp_rtol": 1e-10,
+        "ksp_max_it": 500,
+        "ksp_divtol": 1e300,  # the error only falls, but residuals may grow before they fall
+    }
+    gamg: dict[str, Any] = {
+        "pc_type": "gamg",
+        "pc_gamg_type": "agg",
+        "pc_gamg_threshold": 0.01,
+        "pc_gamg_esteig_ksp_max_it": 5,
+    }
+    smoother: dict[str, Any] = {"mg_levels_pc_type": "sor", "mg_levels_ksp_max_it": 1}
+    types = ("mg_levels_ksp_type", "mg_levels_pc_type")
+    smoothers = {*types, *(f"mg_coarse_{name}" for name in types)}
+    if K.comm.size == 1 and given.isdisjoint(smoothers):
+        # symmetric block Gauss-Seidel: errors fall in the energy norm for any positive definite K,
+        # and the preconditioner is positive definite without an estimate of eigenvalues
+        smoother["mg_levels_ksp_type"] = "richardson"
+    else:
+        # Each rank applies the Gauss-Seidel method to its own rows, M = diag(M_i). The largest
+        # eigenvalue of M^-1 K may approach the number of ranks that meet at a node, and errors grow
+        # if it exceeds 2 (on three and more ranks the preconditioner was seen to be indefinite).
+        # Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth. If its
+        # estimate is too low, the smoother is indefinite: with stiffnesses that differ by 1e5, ten
+        # steps of the estimate were too few.
+        smoother["mg_levels_ksp_type"] = "chebyshev"
+        smoother["mg_levels_esteig_ksp_max_it"] = 30
+    gamg |= smoother
+    if V.element.basix_element.degree == 1 or "pc_type" in given:
+        _set_rigid_body_modes(K, V)
+        return StiffnessSolver("multigrid", K, krylov | gamg, petsc_options, prefix)
+    levels: dict[str, Any] = {
+        "pc_type": "mg",
+        # two cycles of GAMG on the coarsest space. They are cheap, since K of degree 1 has a
+        # fifteenth of the entries of K of degree 2; with one, a solve takes a third more iterations
+        "mg_coarse_ksp_type": "richardson",
+        "mg_coarse_ksp_max_it": 2,
+        "mg_coarse_ksp_norm_type": "none",
+        **smoother,
+    }
+    levels |= {f"mg_coarse_{name}": value for name, value in gamg.items()}
+    below = {
+        f"mg_coarse_{name}": value
+        for name, value in petsc_options.items()
+        if name.startswith(("pc_gamg_", "mg_levels_"))
+    }
+    prepare = partial(_add_degree_1, K=K, V=V, prescribed=prescribed)
+    return StiffnessSolver(
+        "multigrid", K, krylov | levels, below | dict(petsc_options), prefix, prepare
+    )
+
+
+def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
+    """Set up a preconditioner as multigrid with a level of degree 1 below degree 2. Collective.
+
+    The matrix of the level is P'KP, with the interpolation P between the spaces. It needs no
+    further compiled form, and includes additions to K, such as the springs of floating bodies.
+
+    Args:
+        pc: preconditioner of a KSP whose matrix is K.
+        K: the matrix, with identity rows and columns for prescribed values.
+        V: the space of degree 2.
+        prescribed: (owned degrees of freedom,) whether each is prescribed.
+    """
+    coarse = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
+    P = dolfinx.fem.petsc.interpolation_matrix(coarse, V)
+    P.assemble()
+    free = K.createVecLeft()
+    free.array = ~prescribed
+    ones = P.copy()
+    ones.chop(0.99)  # common nodes have a 1, and other nodes smaller entries
+    coarse_free = ones.createVecRight()
+    ones.multTranspose(free, coarse_free)
+    coarse_free.array = coarse_free.array.round()
+    # if either scaling is left out, corrections change prescribed values, and far more iterations
+    # are needed
+    P.diagonalScale(free, coarse_free)
+    # a copy drops data for further products, which are larger than the matrix
+    matrix = K.ptap(P).copy()
+    held = matrix.getOwnershipRange()[0] + np.flatnonzero(coarse_free.array == 0.0)
+    matrix.zeroRowsColumns(held.astype(PETSc.IntType), 1.0)
+    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    _set_rigid_body_modes(matrix, coarse)
+    pc.setType(PETSc.PC.Type.MG)
+    pc.setMGLevels(2)
+    pc.setMGInterpolation(1, P)
+    pc.getMGSmoother(0).setOperators(matrix)
+
+
+def _set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
+    """Tell GAMG the rigid body modes, as the near-nullspace of a matrix on a space. Collective.
+
+    Each mode moves all bodies together as one rigid body, so it is a rigid motion of each body,
+    too: one set of modes serves any number of bodies.
+    """
+    nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
+    points = K.createVecRight()
+    points.setBlockSize(dim)
+    points.array = V.tabulate_dof_coordinates()[: nodes.size_local, :dim].ravel()
+    K.setNearNullSpace(PETSc.NullSpace().createRigidBody(points))
+
+
 def check_options(petsc_options: Any, prefix: Any) -> None:
     """Check the types of PETSc options and of their prefix. Not collective.
 
@@ -345,7 +553,6 @@ def check_options(petsc_options: Any, prefix: Any) -> None:
     check_type("petsc_options", petsc_options, Mapping, names)
     for key in petsc_options:
         check_type("a name in petsc_options", key, str, "a string")
-    if prefix is not None and (not isinstance(prefix, str) or prefix.startswith("-")):
-        raise InputError(
-            f"petsc_options_prefix must be a string without leading hyphen, found {shown(prefix)}."
-        )
+    check_type("petsc_options_prefix", prefix, str | None, "a string")
+    if prefix is not None and prefix.startswith("-"):
+        raise InputError(f"petsc_options_prefix has no leading hyphen, found '{prefix}'.")

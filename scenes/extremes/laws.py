@@ -63,7 +63,7 @@ def defects(
             for pair, found in zip(model.pairs, pairs, strict=True)
         ]
         pairs = [
-            with_tangents_along_axes(model.V, pair, term.ellipses) if term.ellipses else pair
+            with_tangents_along_axes(model.V, pair, term)
             for pair, term in zip(pairs, terms, strict=True)
         ]
         B = assemble_B(model.V, pairs)
@@ -152,13 +152,13 @@ def _semi_diameters(pair: PairOperators, terms: NodalBounds) -> np.ndarray:
 
     Two tangents of a node are the axes of its ellipse; a single one may have any direction.
     """
-    if terms.ellipses is None:
+    if terms.direction is None:
         return np.ones(len(pair.tangent_node))
-    first = terms.ellipses.direction
+    first = terms.direction
     first = first - (first * pair.normals).sum(axis=1)[:, None] * pair.normals
     first = first / np.linalg.norm(first, axis=1)[:, None]
     axes = np.stack([first, np.cross(pair.normals, first)], axis=1)
-    shape, node = terms.ellipses.shape, pair.tangent_node
+    shape, node = terms.shape, pair.tangent_node
     parts = np.einsum("rai,ri->ra", axes[node], pair.tangents)
     parts[np.abs(parts) < AXIS] = 0.0
     inverse = np.divide(

@@ -193,7 +193,7 @@ FAULTS = {
     "half a level": ({"max_levels": 1.5}, "max_levels must be a positive integer, found 1.5"),
     "no level": ({"max_levels": True}, "max_levels must be a positive integer, found True"),
     "all": ({"fraction": True}, r"fraction must be a number in \(0, 1\], found True"),
-    "after": ({"after": 1}, "after must be a ContactSolution, found 1: an AdaptiveSolution has"),
+    "after": ({"after": 1}, "after must be a ContactSolution, found 1. An AdaptiveSolution has"),
     "no dofs": ({"max_dofs": np.nan}, "max_dofs must be a positive number, found nan"),
     "observer": ({"observer": 1}, "observer must be a function of a Level"),
 }

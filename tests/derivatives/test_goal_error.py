@@ -22,7 +22,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.derivatives.goals import DOUBT
-from dolfinx_tresca.dual.mesh_error import total
+from dolfinx_tresca.dual.accuracy import total
 from scenes.hertz import cylinder_on_plane
 from scenes.pressed_blocks import pressed_blocks
 from scenes.random_blocks import RandomBlocks

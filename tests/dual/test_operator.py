@@ -9,7 +9,6 @@ import pytest
 
 from dolfinx import fem
 
-from dolfinx_tresca.dual.products import near_field
 from scenes.assembled import dense_matrix, dual_program, points_of
 from scenes.scene import EPS
 from scenes.two_bricks import two_bricks
@@ -102,7 +101,9 @@ LEAST = {"cholesky": 0.0, "multigrid": 0.4}
 @pytest.mark.parametrize("stiffness", LEAST)
 def test_it_is_less_than_A_and_symmetric(comm, stiffness, monkeypatch):
     """It has most of the energy of rough tractions, with multigrid of a pressure, too."""
-    monkeypatch.setattr(near_field, "MOST_UNKNOWNS", 250)  # a level of such a mesh, not K
+    monkeypatch.setattr(
+        "dolfinx_tresca.dual.products.MOST_UNKNOWNS", 250
+    )  # a level of such a mesh, not K
     with dual_program(two_bricks(comm, 8), stiffness) as dual:
         pressure = np.zeros_like(dual.b)
         pressure[dual.admissible.normal] = 1.0

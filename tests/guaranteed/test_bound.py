@@ -27,7 +27,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.dual.mesh_error import total
+from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.guaranteed.bound import Bodies
 from scenes.assembled import linear_solution
 from scenes.elasticity import elasticity, fixed

@@ -29,8 +29,8 @@ from dolfinx_tresca import (
     Tresca,
     Units,
 )
-from dolfinx_tresca.output import panels, plot, views
-from dolfinx_tresca.output.grid import blocks_of, gather_grid
+from dolfinx_tresca.output import panels, plot
+from dolfinx_tresca.output.files import gather_grid
 from dolfinx_tresca.output.panels import (
     CURVE_COLOUR,
     TANGENT_COLOUR,
@@ -88,7 +88,7 @@ SPLIT = 0.42  #: part of the width that is for the bodies
 @pytest.fixture(autouse=True)
 def small_and_without_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setattr(views, "DPI", DPI)
+    monkeypatch.setattr(panels, "DPI", DPI)
 
 
 needs_xvfb = pytest.mark.skipif(
@@ -241,7 +241,7 @@ def test_curved_surface_and_several_pairs(folder: Path, solution: ContactSolutio
         assert fraction(row, "colour") > 0.1
     grid = gather_grid(bent.surface.functions)
     if grid is not None:
-        normal, up = views.direction(views.skin(grid.to_pyvista()).compute_normals())
+        normal, up = panels.direction(panels.skin(grid.to_pyvista()).compute_normals())
         np.testing.assert_allclose(normal, (0.0, 0.0, 1.0), atol=0.05)
         assert abs(normal @ up) < 0.1
 
@@ -265,7 +265,7 @@ def test_picture_of_2d(folder: Path, flat: ContactSolution) -> None:
     assert fraction(left, "colour") > 0.15
     assert fraction(right, "white") > 0.3
     assert near(left, CURVE_COLOUR) > 0.001
-    assert near(left, views.OBSTACLE_COLOUR) > 0.01
+    assert near(left, panels.OBSTACLE_COLOUR) > 0.01
     assert near(right, CURVE_COLOUR) > 0.001
     upper, lower = np.split(right, [HEIGHT * 6 // 10])
     for part in (upper, lower):
@@ -336,7 +336,7 @@ def test_slip_of_earlier_steps_where_nodes_stick(comm) -> None:
         model.data.load.value[:2] *= 0.9
         after = problem.solve(rtol=1e-9)
     assert after.counts.stick > before.counts.stick
-    assert "slip_increment" in [function.name for function in blocks_of(after, ())["contact"]]
+    assert "slip_increment" in [function.name for function in after.surface.functions]
     first, second = gather_contact(before.surface), gather_contact(after.surface)
     if first is None or second is None:
         return

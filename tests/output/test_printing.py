@@ -32,7 +32,7 @@ from dolfinx_tresca import (
     contacts,
 )
 from dolfinx_tresca._base.parallel import UNBROKEN, fill
-from dolfinx_tresca.output.summary import significant, vector
+from dolfinx_tresca.output.report import figures
 from dolfinx_tresca.table import LISTED_ROWS, as_text
 from scenes.blocks import BELOW, LEFT, block, floor
 from scenes.patches import SIDES, patch
@@ -90,8 +90,8 @@ def test_units_are_printed_behind_numbers(comm, dim):
     text = str(solution)
     per_thickness = "/mm" if dim == 2 else ""
     for part in (
-        f"peak pressure  {significant(solution.peak_pressure, solution.local_error)} MPa\n",
-        f"greatest slip  {significant(solution.greatest_slip, solution.local_error)} mm\n",
+        f"peak pressure  {figures(solution.peak_pressure, solution.local_error)} MPa\n",
+        f"greatest slip  {figures(solution.greatest_slip, solution.local_error)} mm\n",
         f" N{per_thickness} normal, ",
         f" N{per_thickness} on the secondary side\n",
         f" N mm{per_thickness} primal, ",
@@ -210,7 +210,7 @@ def test_vectors_have_the_digits_that_hold():
         ([1234.0, -987.0], 0.05, "(1.2e+03, -1e+03)"),
         ([0.0, 0.0], 0.0, "(0, 0)"),
     ):
-        assert fill(vector(np.array(values), error)) == text
+        assert fill(figures(np.array(values), error)) == text
 
 
 @pytest.mark.parallel
@@ -223,7 +223,7 @@ def test_each_pair_has_a_line_with_its_name_and_force(comm):
     assert "  pair         wall, obstacle" in table
     assert [surface.name for surface in solution.surfaces] == ["tag 1 on tag 2", "wall"]
     for surface, force in zip(solution.surfaces, solution.pair_resultants, strict=True):
-        text = vector(force.force, solution.local_error).replace(UNBROKEN, " ")
+        text = figures(force.force, solution.local_error).replace(UNBROKEN, " ")
         assert f"\n{' ' * 15}{surface.name}: {text}, " in str(solution)
 
 
@@ -250,6 +250,6 @@ def test_dissipation_is_printed_of_load_steps(comm):
         second = problem.solve()
     error = second.local_error
     assert (
-        f"dissipation    {significant(second.dissipation, error)} N mm/mm in this step, "
-        f"{significant(second.total_dissipation, error)} N mm/mm so far\n"
+        f"dissipation    {figures(second.dissipation, error)} N mm/mm in this step, "
+        f"{figures(second.total_dissipation, error)} N mm/mm so far\n"
     ) in str(second)

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, PairingError, RigidPlane
-from dolfinx_tresca.pairing.search.facets import EDGE_ANGLE, smooth_patches
+from dolfinx_tresca.pairing.facets import EDGE_ANGLE, smooth_patches
 from scenes.elasticity import elasticity, no_load
 
 

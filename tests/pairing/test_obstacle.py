@@ -83,7 +83,7 @@ def test_centre_of_round_obstacles_has_a_unit_normal(hollow):
         (lambda: RigidSphere((0,), 1.0), "center must be 2 or 3 finite numbers"),
         (lambda: RigidCylinder((0, 0, 0), (0, 0, 1), 0), "radius must be a positive number"),
         (lambda: RigidCylinder((0, 0, 0), (0, 0, 0), 1.0), "axis must have a direction"),
-        (lambda: RigidCylinder((0, 0), (0, 1), 1.0), r"3 components.*in 2D .* RigidSphere"),
+        (lambda: RigidCylinder((0, 0), (0, 1), 1.0), "axis must be 3 finite numbers"),
         *(
             (lambda point=point: RigidPlane(point, (0, 0, 1)), "point must be 2 or 3 ")
             for point in ((1j, 0, 0), ("1", "2", "3"), None, "abc", (np.nan, 0, 0))
@@ -92,8 +92,8 @@ def test_centre_of_round_obstacles_has_a_unit_normal(hollow):
             (lambda radius=radius: RigidSphere((0, 0, 0), radius), "radius must be a positive")
             for radius in (0, -1, np.nan, np.inf, None, "1", 1j)
         ),
-        (lambda: RigidObstacle(3.0), r"needs a function of points .*found 3\.0"),
-        (lambda: RigidObstacle(None), "needs a function of points .*found None"),
+        (lambda: RigidObstacle(3.0), r"needs a function of points, found 3\.0"),
+        (lambda: RigidObstacle(None), "needs a function of points, found None"),
     ],
 )
 def test_invalid_obstacle_is_an_error(make, message):

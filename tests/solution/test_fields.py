@@ -18,7 +18,7 @@ from dolfinx_tresca import (
     RigidPlane,
     Tresca,
 )
-from dolfinx_tresca.output.io import STATE_COLOURS
+from dolfinx_tresca.output.files import STATE_COLOURS
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.solution.forces import Resultant
 from scenes.nodal import nodal

@@ -12,8 +12,7 @@ from scipy.sparse import csr_array
 from dolfinx_tresca import ContactStatus, InputError
 from dolfinx_tresca.solvers import iteration
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones
 from scenes.dense import (
     METHODS,
     DenseProblem,

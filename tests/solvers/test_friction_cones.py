@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from dolfinx_tresca.solvers.friction_cones import FrictionCones
+from dolfinx_tresca.solvers.feasible_set import FrictionCones
 from scenes.dense import random_cone_problem
 from scenes.scene import EPS
 

@@ -13,7 +13,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca.stiffness.choice import cholesky, multigrid
+from dolfinx_tresca.stiffness.solver import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.blocks import ABOVE, BACK, LEFT, YOUNG, block
 from scenes.patches import KINDS, dim_of

@@ -12,7 +12,7 @@ import pytest
 import ufl
 
 from dolfinx_tresca import StiffnessError
-from dolfinx_tresca.stiffness.choice import cholesky, multigrid
+from dolfinx_tresca.stiffness.solver import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.two_bricks import YOUNG, two_bricks
 

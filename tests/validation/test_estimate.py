@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus
-from dolfinx_tresca.dual.mesh_error import DiscretisationError, total
+from dolfinx_tresca.dual.accuracy import DiscretisationError, total
 from scenes.assembled import linear_solution
 from scenes.clamped_square import clamped_square
 from scenes.manufactured import blocks_scene, norm

@@ -212,8 +212,8 @@ def rubber_over(comm, obstacle, sliding):
     [
         ({"translation": 1.0}, "translation must be 2 or 3"),
         ({"translation": (np.nan, 0.0)}, "translation must be 2 or 3 finite"),
-        ({"rotation": (0.0, 1.0)}, "rotation must be a number or 3 numbers"),
-        ({"rotation": np.inf}, "rotation must be a number or 3 numbers"),
+        ({"rotation": (0.0, 1.0)}, "rotation must be 3 finite numbers"),
+        ({"rotation": np.inf}, "rotation must be a finite number"),
         ({"about": "centre"}, "about must be 2 or 3 finite numbers"),
     ],
 )

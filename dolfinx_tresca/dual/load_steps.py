@@ -1,9 +1,10 @@
-"""The jump operator of displaced surfaces, and the transfer of multipliers and jumps to it."""
+"""Transfer from one load step to the next: B of displaced surfaces, multipliers, and slip."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,9 @@ from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca._base.petsc import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.pairing.group import straightened
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
-from dolfinx_tresca.pairing.search.tagged import any_known_surface
+from dolfinx_tresca.pairing.undeformed import straightened
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.frames import BodyFrames
 
@@ -94,7 +94,7 @@ def _bent_primary(
         operators: N and T of the pair in the displaced configuration.
     """
     sides = operators.undeformed.sides.values()
-    if any_known_surface(*sides) or pair.obstacle is not None:
+    if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
         return straight
     if pair.touches_itself:  # the tags do not tell primary from secondary nodes
         numbers = np.unique(gather_rows(V.mesh.comm, np.unique(operators.primary.indices)))
@@ -157,3 +157,89 @@ def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
     )
     place = np.searchsorted(old_keys, keys)
     return np.where(np.append(old_keys, -1)[place] == keys, place, len(old_nodes))
+
+
+@dataclass(frozen=True)
+class SlipHistory:
+    """The slip and the dissipation of the accepted load steps.
+
+    In a quasi-static process, friction resists the slip T u - s of each step, where s is the slip
+    origin, and dissipates energy (docs/theory/problem.md). This formulation is implicit in time,
+    like the backward Euler method.
+
+    Attributes:
+        origin: (size,) s, the tangential jump at which the slip of the step is zero, divided by
+            `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
+        slipped: for each pair an array (owned nodes of V, d + 1) with the sum of the slip vectors
+            of all steps, and the sum of their lengths [length]. Nodes that have no partner at
+            present keep their values.
+        dissipation: dissipation of all steps [energy].
+        begun: whether a step was accepted; if not, slips count from the undeformed bodies, as in a
+            static problem.
+    """
+
+    origin: Array
+    slipped: tuple[Array, ...]
+    dissipation: float = 0.0
+    begun: bool = False
+
+    @classmethod
+    def none(cls, jump: JumpOperator) -> SlipHistory:
+        """Return the history of undeformed bodies. Not collective."""
+        V = jump.system.V
+        shape = V.dofmap.index_map.size_local, V.mesh.geometry.dim + 1
+        return cls(np.zeros(len(jump.gap)), tuple(np.zeros(shape) for _ in jump.pairs))
+
+    @classmethod
+    def from_displacement(cls, jump: JumpOperator, u: fem.Function) -> SlipHistory:
+        """Return the history whose slip is the tangential jump of a displacement. Collective."""
+        slip = jump.of_displacement(u) * jump.length_scale
+        steps = []
+        for pair, (_, t) in zip(jump.pairs, jump.slices, strict=True):
+            vectors = pair.tangential_vectors(np.zeros_like(slip[t]) if pair.bonded else slip[t])
+            steps.append(np.column_stack([vectors, np.linalg.norm(vectors, axis=1)]))
+        return cls.from_slip(jump, steps, 0.0)
+
+    @classmethod
+    def from_slip(
+        cls, jump: JumpOperator, slips: Sequence[Array], dissipation: float
+    ) -> SlipHistory:
+        """Return the history of a single accepted step with given slips. Not collective.
+
+        Args:
+            jump: B.
+            slips: for each pair (n, d + 1) the slip vectors at its nodes and the lengths of their
+                paths [length].
+            dissipation: dissipation so far [energy].
+        """
+        origin = np.zeros(len(jump.gap))
+        for pair, slip, (_, t) in zip(jump.pairs, slips, jump.slices, strict=True):
+            vectors = slip[pair.tangent_node, :-1]
+            origin[t] = np.einsum("ri,ri->r", vectors, pair.tangents) / jump.length_scale[t]
+        return cls.none(jump).after(jump, origin, slips, dissipation)
+
+    def after(
+        self, jump: JumpOperator, slip: Array, steps: Sequence[Array], dissipation: float
+    ) -> SlipHistory:
+        """Return the history after a further load step. Not collective.
+
+        Args:
+            jump: B.
+            slip: (size,) slip of the step, divided by `JumpOperator.length_scale`; exactly zero at
+                sticking nodes, since residuals of the iteration would add up over the steps.
+            steps: for each pair (n, d + 1) the slip vectors of the step at its nodes, and the
+                increments of their slip paths [length].
+            dissipation: dissipation of the step [energy].
+        """
+        slipped = []
+        for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):
+            after = before.copy()
+            after[pair.nodes] = before[pair.nodes] + step
+            slipped.append(after)
+        return replace(
+            self,
+            origin=self.origin + slip,
+            slipped=tuple(slipped),
+            dissipation=self.dissipation + dissipation,
+            begun=True,
+        )

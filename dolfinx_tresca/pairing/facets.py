@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -13,9 +12,17 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import basix
-import dolfinx
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, cross
+from dolfinx_tresca._base.arrays import (
+    ROUNDING,
+    Array,
+    GlobalNumbers,
+    Indices,
+    Mask,
+    cross,
+    dots,
+    unit,
+)
 
 #: Deviation, relative to the size of a facet, that counts as rounding, in addition to the rounding
 #: of coordinates: of nodes from a straight shape, of a curved surface from its facet, of areas from
@@ -27,6 +34,10 @@ FACET_ARRAYS = (
     *("nodes", "points", "free", "file_numbers"),
     *("outward", "offsets", "origins", "tag_index"),
 )
+
+#: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
+#: spans 30 degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
+OFFSET_DEGREE = 4
 
 #: Largest number of Newton steps that find a reference point.
 NEWTON_STEPS = 20
@@ -50,16 +61,6 @@ NEGLIGIBLE = 1e-6
 #: symmetry plane by a few degrees, not by 84.)
 FACING_COSINE = 0.1
 
-#: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
-#: surfaces penetrate each other by a part of their size.
-SHALLOW_DEPTH = 0.1
-
-#: A point's penetration along the normal counts only if the point's least distance from the other
-#: side's surface, in any direction, is at least this part of the penetration. The distance is equal
-#: to the penetration for parallel surfaces, and zero if the normal runs along a face.
-CREDIBLE_PART = 0.1
-
-
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
 #: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
 #: (51.4 degrees and less); boxes and hexagonal prisms have sharp edges (60 degrees and more).
@@ -68,7 +69,7 @@ EDGE_ANGLE = 55.0
 
 @dataclass(frozen=True)
 class Facets:
-    """The facets with one tag on this rank: curves in 2D, triangles or quadrilaterals in 3D.
+    """The facets of a surface on this rank: curves in 2D, triangles or quadrilaterals in 3D.
 
     The shape of a facet is the interpolation of the geometry in the space of the displacement, so
     that N, T and the gap treat positions like displacements. In 2D the third coordinate is 0.
@@ -83,11 +84,11 @@ class Facets:
             partition.
         outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
             inward normal.
-        offsets: (n, q, 3) vectors from points of the facet to the exact surface [length], see
-            search/tagged.py; NaN for facets whose exact surface is unknown, (n, 0, 3) if those of
-            both sides are.
+        offsets: (n, q, 3) vectors from points of the facet, the nodes of a Lagrange basis of
+            `OFFSET_DEGREE`, to the exact surface [length]; NaN for facets whose exact surface is
+            unknown, (n, 0, 3) if those of both sides are.
         origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
-            see search/self_contact.py; (n, 0) on other surfaces.
+            see `facet_origins`; (n, 0) on other surfaces.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
@@ -117,6 +118,11 @@ class Facets:
         return int(self.free.shape[1])
 
     @property
+    def corners_round(self) -> Indices:
+        """The numbers of a facet's corners in the order round it."""
+        return np.array([0, 1, 3, 2]) if self.cell == "quadrilateral" else np.arange(self.corners)
+
+    @property
     def rounding(self) -> Array:
         """The rounding (n,) of differences of coordinates, relative to the size of each facet."""
         return rounding_of(self.points)
@@ -127,10 +133,24 @@ class Facets:
         return not self.bent and self.cell != "quadrilateral"
 
     @property
+    def has_exact_surface(self) -> bool:
+        """Whether the exact surface of any facet of the pair is known."""
+        return bool(self.offsets.shape[1])
+
+    @property
+    def areas(self) -> Array:
+        """The areas (n,) of the facets [length^2, in 2D length], also if they are axisymmetric."""
+        points, weights = quadrature(self.cell, 2 * self.degree)
+        return np.asarray(np.linalg.norm(self.area_vectors(points), axis=2) @ weights)
+
+    @property
     def mean_normals(self) -> Array:
         """The outward unit normals (n, 3) at the centre of each facet."""
-        normals = self.area_vectors(quadrature(self.cell, 1)[0])[:, 0]
-        return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+        return unit(self.area_vectors(quadrature(self.cell, 1)[0])[:, 0])
+
+    def lagrange_points(self, degree: int) -> Array:
+        """Return the reference points (k, dim) of the nodes of a Lagrange basis."""
+        return np.asarray(_element(self.cell, degree).points)
 
     def hats(self, x: Array) -> Array:
         """Return the hat functions (q, corners) of the corners at reference points (q, dim)."""
@@ -140,6 +160,10 @@ class Facets:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
+    def points_at(self, x: Array) -> Array:
+        """Return the points (n, q, 3) of all facets at reference points (q, dim) [length]."""
+        return np.asarray(self.basis(x) @ self.points)
+
     def selected(self, index: Indices) -> Facets:
         """Return some of the facets."""
         return replace(self, **{name: getattr(self, name)[index] for name in FACET_ARRAYS})
@@ -147,16 +171,14 @@ class Facets:
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with their nodes at other points (n, k, 3); `offsets` turn with them.
 
-        `bent` of the result describes the facets of this rank only; see `checked` in
-        pairing/search/tagged.py.
+        `bent` of the result describes the facets of this rank only; see `undeformed.checked`.
         """
         moved = replace(self, points=points)
-        if self.offsets.shape[1]:
+        if self.has_exact_surface:
             local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
             moved = replace(moved, offsets=np.einsum("nqd,ndi->nqi", local, moved.frames()))
         corners = points[:, : self.corners]
-        hats = self.hats(lagrange_points(self.cell, self.degree))
-        straight = np.einsum("kc,nci->nki", hats, corners)
+        straight = self.hats(self.lagrange_points(self.degree)) @ corners
         size = np.ptp(corners, axis=1).max(axis=1)
         rounding = MESH_ROUNDING + rounding_of(corners)
         bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
@@ -178,18 +200,47 @@ class Facets:
 
     def area_elements(self, x: Array) -> Array:
         """Return area elements (n, q), of rings if axisymmetric, at reference points (q, dim)."""
-        sizes = np.linalg.norm(self.area_vectors(x), axis=2)
-        return np.asarray(sizes * self.circumferences(self.points[:, :, 0] @ self.basis(x).T))
-
-    def circumferences(self, radii: Array) -> Array:
-        """Return the factor of integrals over rings, 2 pi times radii; 1 without axisymmetry."""
-        return 2.0 * np.pi * radii if self.axisymmetric else np.ones_like(radii)
+        sizes: Array = np.linalg.norm(self.area_vectors(x), axis=2)
+        return 2.0 * np.pi * self.points_at(x)[:, :, 0] * sizes if self.axisymmetric else sizes
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
         """Return the `area_vectors` (m, 3) of facets (m,) at one reference point (m, dim) each."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(cross_products(along) * self.outward[facet, None])
+
+    def coincide(self, facet: Indices, primary: Facets, partner: Indices) -> Mask:
+        """Return whether pairs (p,) of these facets and primary facets have the same corners.
+
+        Args:
+            facet: (p,) secondary facet of each pair.
+            primary: facets of the primary side.
+            partner: (p,) primary facet of each pair.
+        """
+        corners = self.points[facet, : self.corners]
+        offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
+        size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
+        allowed = (MISMATCH + self.rounding[facet]) * size
+        nearest = np.linalg.norm(offset, axis=3).min(axis=2)
+        return np.asarray((nearest <= allowed[:, None]).all(axis=1))
+
+    def offsets_at(self, facet: Indices, x: Array) -> Array:
+        """Return the vectors (m, 3) from points on facets to the exact surface [length].
+
+        Args:
+            facet: (m,) the facet of each point, whose exact surface is known.
+            x: (m, dim) reference coordinates of each point.
+        """
+        values = tabulate(self.cell, OFFSET_DEGREE, 0, x)[0]
+        return np.asarray(np.einsum("mk,mki->mi", values, self.offsets[facet]))
+
+    def exact_normals_at(self, facet: Indices, x: Array) -> Array:
+        """Return outward unit normals (m, 3) of the exact surface at points; see `offsets_at`."""
+        along = sum(
+            np.einsum("dmk,mki->dmi", tabulate(self.cell, degree, 1, x)[1:], vectors[facet])
+            for degree, vectors in ((self.degree, self.points), (OFFSET_DEGREE, self.offsets))
+        )
+        return unit(cross_products(along) * self.outward[facet, None])
 
 
 def frames_along(sides: Array, normals: Array) -> Array:
@@ -199,31 +250,15 @@ def frames_along(sides: Array, normals: Array) -> Array:
         sides: (n, 3) vectors, which are projected onto the planes of the normals.
         normals: (n, 3) unit normals.
     """
-    along = sides - np.einsum("ni,ni->n", sides, normals)[:, None] * normals
-    along /= np.linalg.norm(along, axis=1)[:, None]
+    along = unit(sides - dots(sides, normals)[:, None] * normals)
     return np.stack([along, cross(normals, along), normals], axis=1)
 
 
-def joined(groups: Sequence[Facets]) -> Facets:
-    """Return the facets of several tags as one surface."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(group, name) for group in groups]) for name in FACET_ARRAYS
-    }
-    counts = [len(group.points) for group in groups]
-    arrays["tag_index"] = np.repeat(np.arange(len(groups)), counts)
-    return replace(groups[0], bent=any(group.bent for group in groups), **arrays)
-
-
 def rounding_of(points: Array) -> Array:
-    """Return the rounding (n,) of differences of points (n, k, 3), relative to their extent.
-
-    It is zero for points that are all at one place.
-    """
-    rounding = ROUNDING * np.abs(points).max(axis=(1, 2))
+    """Return the rounding (n,) of differences of points (n, k, 3), relative to their extent."""
     extent = np.linalg.norm(np.ptp(points, axis=1), axis=1)
-    result = np.zeros(len(points))
-    np.divide(rounding, extent, out=result, where=extent > 0.0)
-    return result
+    relative = np.abs(points).max(axis=(1, 2)) / np.where(extent > 0.0, extent, 1.0)
+    return np.asarray(ROUNDING * relative)
 
 
 def cross_products(along: Array) -> Array:
@@ -236,21 +271,6 @@ def _element(cell: str, degree: int) -> Any:
     """Return the Lagrange element of a reference cell."""
     variant = basix.LagrangeVariant.gll_warped
     return basix.create_element(basix.ElementFamily.P, basix.CellType[cell], degree, variant)
-
-
-def lagrange_points(cell: str, degree: int) -> Array:
-    """Return the nodes (k, dim) of a Lagrange basis on a reference cell."""
-    return np.asarray(_element(cell, degree).points)
-
-
-@cache
-def nodes_round(cell: str, degree: int) -> Indices:
-    """Return the nodes of a Lagrange basis of degree 1 or 2 in the order round the cell.
-
-    The order is VTK's: corners, then the middle of the side after each of them, then the centre.
-    """
-    kind, count = dolfinx.mesh.to_type(cell), _element(cell, degree).dim
-    return np.argsort(dolfinx.cpp.io.perm_vtk(kind, count))
 
 
 def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
@@ -305,23 +325,6 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def facets_coincide(secondary: Facets, facet: Indices, primary: Facets, partner: Indices) -> Mask:
-    """Return whether each pair (p,) of a secondary and a primary facet has the same corners.
-
-    Args:
-        secondary: facets of the secondary side.
-        facet: (p,) secondary facet of each pair.
-        primary: facets of the primary side.
-        partner: (p,) primary facet of each pair.
-    """
-    corners = secondary.points[facet, : secondary.corners]
-    offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
-    size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
-    allowed = (MISMATCH + secondary.rounding[facet]) * size
-    nearest = np.linalg.norm(offset, axis=3).min(axis=2)
-    return np.asarray((nearest <= allowed[:, None]).all(axis=1))
-
-
 @dataclass(frozen=True)
 class SurfaceNodes:
     """The corners of facets; a node on a sharp edge has one entry for each smooth patch.
@@ -365,13 +368,10 @@ class SurfaceNodes:
         weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
         order = np.lexsort((weights, node_of_patch))
         weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
-        position = np.empty_like(order)
-        position[order] = np.arange(len(order))
-        position = position[patch]
-
-        position = position.reshape(-1, corners)
-        vectors = node_sums(position, spread[:, :, None] * normals, len(numbers))
-        lengths = node_sums(position, spread, len(numbers))
+        position = np.argsort(order)[patch].reshape(-1, corners)
+        vectors, lengths = np.zeros((len(numbers), 3)), np.zeros(len(numbers))
+        np.add.at(vectors, position, spread[:, :, None] * normals)
+        np.add.at(lengths, position, spread)
         corner = np.unique(position, return_index=True)[1]
         points = facets.points[:, :corners].reshape(-1, 3)[corner]
         free = facets.free.reshape(-1, facets.free.shape[2])[corner]
@@ -387,6 +387,19 @@ class SurfaceNodes:
             has_no_normal,
         )
 
+    def reduced(self, ufunc: np.ufunc, values: Any, initial: Any, facets: Any = slice(None)) -> Any:
+        """Return the sum, or another reduction, at nodes of values at the corners of facets.
+
+        Args:
+            ufunc: the operation, such as np.add or np.maximum.
+            values: (facets, corners, ...) the values.
+            initial: the value of nodes without a facet.
+            facets: the facets of the values; all by default.
+        """
+        result = np.full((len(self.numbers), *values.shape[2:]), initial)
+        ufunc.at(result, self.facet_nodes[facets], values)
+        return result
+
 
 def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     """Return outward unit normals (n, corners, 3) of facets at their corners, and their weights.
@@ -397,9 +410,8 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     Weights for computing vertex normals from facet normals).
     """
     corners = facets.points[:, : facets.corners]
-    normals = facets.area_vectors(lagrange_points(facets.cell, 1))
-    normals = normals / np.linalg.norm(normals, axis=2)[:, :, None]
-    order = nodes_round(facets.cell, 1)
+    normals = unit(facets.area_vectors(facets.lagrange_points(1)))
+    order = facets.corners_round
     place = np.argsort(order)
     before = corners[:, order[place - 1]] - corners
     after = corners[:, np.roll(order, -1)[place]] - corners
@@ -408,7 +420,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
         weights = squares**-0.25
     else:
         weights = np.linalg.norm(cross(before, after), axis=2) / squares
-    return np.asarray(normals), weights
+    return normals, weights
 
 
 def free_normals(vectors: Array, free: Mask) -> Array:
@@ -420,7 +432,7 @@ def free_normals(vectors: Array, free: Mask) -> Array:
         vectors: (n, 3) sums of the normals of facets.
         free: (n, dim of space) whether a component of the displacement is not prescribed.
     """
-    normals: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    normals = unit(vectors)
     movable = normals.copy()
     movable[:, : free.shape[1]][~free] = 0.0
     length = np.linalg.norm(movable, axis=1)
@@ -447,26 +459,12 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
     shape = len(node), int(node.max(initial=-1)) + 1
     at_node = coo_array((np.ones(len(node)), (corners, node)), shape=shape)
     corner, partner = (at_node @ at_node.T).nonzero()
-    cosine = np.einsum("ni,ni->n", normals[corner], normals[partner])
-    near = cosine >= math.cos(math.radians(EDGE_ANGLE))
+    near = dots(normals[corner], normals[partner]) >= math.cos(math.radians(EDGE_ANGLE))
     links = np.ones(near.sum()), (corner[near], partner[near])
     graph = coo_array(links, shape=(len(node), len(node)))
     number, component = connected_components(graph, directed=False)
     patches, patch = np.unique(node * number + component, return_inverse=True)
     return patch, patches // max(number, 1)
-
-
-def node_sums(nodes: Indices, values: Array, count: int) -> Array:
-    """Return the sums (count, ...) at nodes of values (facets, corners, ...) at facets' corners.
-
-    Args:
-        nodes: (facets, corners) the node of each corner.
-        values: the values.
-        count: the number of nodes.
-    """
-    sums = np.zeros((count, *values.shape[2:]))
-    np.add.at(sums, nodes, values)
-    return sums
 
 
 def tangents(normals: Array) -> Array:
@@ -476,6 +474,5 @@ def tangents(normals: Array) -> Array:
     """
     if normals.shape[1] == 2:
         return np.stack([-normals[:, 1], normals[:, 0]], axis=1)[:, None]
-    along = cross(np.eye(3)[np.abs(normals).argmin(axis=1)], normals)
-    along /= np.linalg.norm(along, axis=1)[:, None]
+    along = unit(cross(np.eye(3)[np.abs(normals).argmin(axis=1)], normals))
     return np.stack([along, cross(normals, along)], axis=1)

@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 
 from dolfinx_tresca import Frictionless, RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
-from dolfinx_tresca.output.grid import Grid, gather_grid
-from dolfinx_tresca.output.panels import gather_contact
-from dolfinx_tresca.output.views import INVISIBLE, SAMPLES, draw_obstacle, magnification
+from dolfinx_tresca.output.files import Grid, gather_grid
+from dolfinx_tresca.output.panels import (
+    INVISIBLE,
+    SAMPLES,
+    draw_obstacle,
+    gather_contact,
+    magnification,
+)
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.rigid_obstacle import distance_from_ring
 
@@ -90,5 +95,5 @@ def test_displacements_become_visible(largest: float, wanted: float) -> None:
     """Bodies of length 3.7 move by at most a tenth of it, by a round magnification."""
     points = np.array([(0.0, 0.0, 0.0), (3.7, 0.0, 0.0)])
     u = np.array([(0.0, 0.0, 0.0), (largest, 0.0, 0.0)])
-    bar = Grid(2, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u})
+    bar = Grid(2, points, np.array([[2, 0, 1]]), np.array([3]), {"u": u}, {})
     assert magnification(bar, []) == pytest.approx(wanted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import resource
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,7 +28,6 @@ from dolfinx_tresca import (
     SolutionWriter,
     Tresca,
 )
-from dolfinx_tresca.output.io import read_pvd
 from scenes.patches import patch
 from scenes.two_bricks import two_bricks
 
@@ -139,6 +139,22 @@ def of_pyvista(grid: Any) -> Read:
         {name: np.asarray(grid.point_data[name]) for name in grid.point_data},
         {name: np.asarray(grid.cell_data[name]) for name in grid.cell_data},
     )
+
+
+class DataSet(NamedTuple):
+    """A grid in a series."""
+
+    time: float
+    name: str
+    file: str
+
+
+def read_pvd(path: Path) -> list[DataSet]:
+    """Return the grids of a series."""
+    return [
+        DataSet(float(item.attrib["timestep"]), item.attrib["name"], item.attrib["file"])
+        for item in ET.parse(path).iter("DataSet")
+    ]
 
 
 def read_series(path: Path) -> dict[float, dict[str, Read]]:

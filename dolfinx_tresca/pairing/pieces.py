@@ -18,20 +18,18 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, cross
+from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross, dots
 from dolfinx_tresca._base.parallel import exchange
-from dolfinx_tresca.pairing.search.facets import (
-    CREDIBLE_PART,
-    FACET_ARRAYS,
-    FACING_COSINE,
-    Facets,
-    frames_along,
-    nodes_round,
-)
+from dolfinx_tresca.pairing.facets import FACET_ARRAYS, FACING_COSINE, Facets, frames_along
 
 #: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
 #: times as many, and of points and what may hide them 50 times as many.
 AT_ONCE = 2048
+
+#: A point's penetration along the normal counts only if the point's least distance from the other
+#: side's surface, in any direction, is at least this part of the penetration. The distance is equal
+#: to the penetration for parallel surfaces, and zero if the normal runs along a face.
+CREDIBLE_PART = 0.1
 
 #: Component of a direction in place of smaller ones and of zero: lines meet planes to which they
 #: are parallel at a distance that is larger than any mesh.
@@ -64,14 +62,6 @@ def blocks(count: int) -> Iterator[slice]:
     """Yield slices of 0, ..., count - 1 with at most `AT_ONCE` members each."""
     for start in range(0, count, AT_ONCE):
         yield slice(start, min(start + AT_ONCE, count))
-
-
-def bounding_box(points: Array) -> Array:
-    """Return the least and the greatest coordinates (2, 3) of points (n, 3) [length].
-
-    Without points they are infinite and -infinite.
-    """
-    return np.stack([points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)])
 
 
 def line_intervals(
@@ -124,26 +114,21 @@ class Pieces:
     @classmethod
     def from_facets(cls, facets: Facets) -> Pieces:
         """Cut facets into pieces."""
-        corners = nodes_round(facets.cell, 1)[None]
-        if facets.bent:
-            count, order = facets.corners, nodes_round(facets.cell, 2)
-            middles, centre = order[count : 2 * count], order[2 * count :]
-            if facets.dim == 1:
-                corners = order[[[0, 2], [2, 1]]]
-            else:
-                inner = np.tile(centre, (count, 1))
-                around = order[:count], middles, inner, np.roll(middles, 1)
-                corners = np.column_stack(around)
-                corners = corners if len(centre) else np.vstack([corners, middles])
+        corners = facets.corners_round[None]
+        if facets.bent:  # the nodes of each piece, in the order round it
+            halves = [[0, 2], [2, 1]]
+            triangles = [[0, 5, 4], [1, 3, 5], [2, 4, 3], [5, 3, 4]]
+            squares = [[0, 4, 8, 5], [1, 6, 8, 4], [3, 7, 8, 6], [2, 5, 8, 7]]
+            cells = {"interval": halves, "triangle": triangles, "quadrilateral": squares}
+            corners = np.array(cells[facets.cell])
         points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
         nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
         facet = np.repeat(np.arange(len(facets.points)), len(corners))
         centres = points.mean(axis=1)
-        if facets.dim == 1:
-            vectors = cross(points[:, 1] - points[:, 0], np.array([0.0, 0.0, 1.0]))
-        else:  # the area vector is half the cross product of the diagonals, or of two sides
-            vectors = cross(points[:, 2] - points[:, 0], points[:, -1] - points[:, 1])
-            vectors *= 0.5
+        # in 3D the area vector is half the cross product of the diagonals, or of two sides
+        along = points[:, facets.dim] - points[:, 0]
+        across = points[:, -1] - points[:, 1] if facets.dim == 2 else np.array([0.0, 0.0, 1.0])
+        vectors = cross(along, across) / facets.dim
         areas = np.linalg.norm(vectors, axis=1)
         return cls(
             facet,
@@ -215,7 +200,7 @@ class Pieces:
                 lines = lines[covered < end[lines]]
         moving, met = np.divmod(np.unique(np.concatenate(pairs)), max(len(self.centres), 1))
         offset = self.centres[met] - centres[moving]
-        along = np.einsum("ni,ni->n", offset, normals[moving])
+        along = dots(offset, normals[moving])
         across = np.linalg.norm(offset - along[:, None] * normals[moving], axis=1)
         meet = across <= (radii[moving] + self.radii[met]) * (1.0 + 1e-9)
         return moving[meet], met[meet]
@@ -244,13 +229,12 @@ class Pieces:
         normals = self.normals[chosen]
         along = np.roll(corners, -1, axis=1) - corners
         # parameter in [0, 1] of the nearest point of each side
-        share = -np.einsum("nci,nci->nc", corners, along) / np.square(along).sum(axis=2)
-        share = np.clip(share, 0.0, 1.0)
+        share = np.clip(-dots(corners, along) / dots(along, along), 0.0, 1.0)
         result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
         if corners.shape[1] > 2:
-            turns = np.einsum("nci,ni->nc", cross(corners, along), normals)
+            turns = dots(cross(corners, along), normals[:, None])
             projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
-            height = np.abs(np.einsum("ni,ni->n", corners.mean(axis=1), normals))
+            height = np.abs(dots(corners.mean(axis=1), normals))
             result = np.where(projects_inside, height, result)
         return np.asarray(result)
 
@@ -261,11 +245,15 @@ class Pieces:
 TWO_RINGS = 4.0
 
 
+def owns(V: Any, nodes: GlobalNumbers) -> Mask:
+    """Return whether this rank owns nodes with global numbers (...). Not collective."""
+    low, high = V.dofmap.index_map.local_range
+    return np.asarray((nodes >= low) & (nodes < high))
+
+
 def at_own_nodes(V: Any, facets: Facets) -> Indices:
     """Return the indices of the facets with a corner that this rank owns. Not collective."""
-    low, high = V.dofmap.index_map.local_range
-    corners = facets.nodes[:, : facets.corners]
-    return np.flatnonzero(((corners >= low) & (corners < high)).any(axis=1))
+    return np.flatnonzero(owns(V, facets.nodes[:, : facets.corners]).any(axis=1))
 
 
 def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
@@ -306,7 +294,9 @@ def near_lines(
     if comm.size == 1:
         return owned
     pieces = Pieces.from_facets(owned)
-    box = comm.allgather((bounding_box(pieces.centres), pieces.radii.max(initial=0.0)))
+    low = pieces.centres.min(axis=0, initial=np.inf)
+    high = pieces.centres.max(axis=0, initial=-np.inf)
+    box = comm.allgather((np.stack([low, high]), pieces.radii.max(initial=0.0)))
     length = np.broadcast_to(length, len(points))
     chosen = []
     for rank, (corners, radius) in enumerate(box):
@@ -385,11 +375,10 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
             mine.centres[block], mine.normals[block], mine.radii[block], far[block]
         )
         own += block.start
-        cosine = np.einsum("ni,ni->n", mine.normals[own], partners.normals[partner])
-        own, partner = own[cosine < -FACING_COSINE], partner[cosine < -FACING_COSINE]
-        offsets = partners.centres[partner] - mine.centres[own]
-        heights = np.einsum("ni,ni->n", offsets, mine.normals[own]) - partners.radii[partner]
-        np.maximum.at(depth, own, -heights)
+        opposed = dots(mine.normals[own], partners.normals[partner]) < -FACING_COSINE
+        own, partner = own[opposed], partner[opposed]
+        offsets = mine.centres[own] - partners.centres[partner]
+        np.maximum.at(depth, own, dots(offsets, mine.normals[own]) + partners.radii[partner])
     near = 2.0 * mine.radii + CREDIBLE_PART * np.minimum(depth + mine.radii, far)
     deep = near > reach
     if comm.allreduce(deep.any(), MPI.LOR):
@@ -400,4 +389,5 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
 
 
 def _largest_radius(comm: MPI.Comm, facets: Facets) -> float:
+    """Return the radius of the largest piece on any rank [length]. Collective."""
     return float(comm.allreduce(Pieces.from_facets(facets).radii.max(initial=0.0), op=MPI.MAX))

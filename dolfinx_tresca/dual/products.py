@@ -1,0 +1,541 @@
+"""Products with A = B K^-1 B', and what is known of A without them.
+
+- `DualOperator`: a product is one solve with K; every one is counted.
+- `sparse_model`, `dense_model`: A as a matrix, for many small bodies or for few multipliers.
+- `NearField`: a cheap approximation of A, with the bodies clamped some cells from the contact.
+- `ContactCompliance`: all of them for one B and one K, computed when first needed.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from scipy.sparse import csc_array, csr_array
+
+from dolfinx import la
+
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.bodies import label_bodies, labels_of
+from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.petsc import (
+    PetscOwner,
+    dense_matrix,
+    destroyed_on_error,
+    product,
+    sparse_matrix,
+)
+from dolfinx_tresca.dual.accuracy import DiscretisationError, EnergyBound
+from dolfinx_tresca.dual.jump import JumpOperator, local_stiffness
+from dolfinx_tresca.errors import StiffnessError
+from dolfinx_tresca.floating.equilibrium import FloatingBodies
+from dolfinx_tresca.floating.rigid_modes import FixingSprings
+from dolfinx_tresca.solvers.problem import KnownProducts
+from dolfinx_tresca.solvers.products import ProductStore, WholeModel
+from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver, cholesky
+
+
+class DualOperator:
+    """A of (38.4), for one K: each product is one solve with K.
+
+    If bodies float, K stands for K_p, which is K with springs that fix these bodies
+    (`floating/rigid_modes.py`).
+
+    The caller keeps B and the solver.
+
+    Attributes:
+        jump: B.
+        solver: solver for K.
+        exact: whether products are exact to rounding (a direct solver for K).
+        products: number of products with A.
+    """
+
+    def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
+        """Prepare products, without computing any. Collective."""
+        self.jump, self.solver = jump, solver
+        self.comm = self.jump.comm
+        self.exact = solver.exact
+        self.products = 0
+
+    def apply(self, x: Array) -> Array:
+        """Return A x to the accuracy in the solver's options; counted in `products`. Collective.
+
+        Args:
+            x: (size,) multipliers.
+        """
+        self.products += 1
+        u = self.jump.work
+        self.solver.solve(self.jump.contact_force(x), u)
+        u.array[self.jump.system.prescribed] = 0.0
+        return self.jump.of_unknowns(u)
+
+    def apply_to_all(self, X: Array, B: PETSc.Mat) -> Array:
+        """Return A X for X (size, k), with a direct solver for all columns together. Collective.
+
+        This costs far less than k single products. Each column is counted in `products`.
+
+        Args:
+            X: (size, k) multipliers.
+            B: the matrix of jumps in A = B K^-1 B', or a matrix that replaces it.
+        """
+        self.products += X.shape[1]
+        multipliers = dense_matrix(X, self.comm)
+        forces = B.transposeMatMult(multipliers)
+        forces.getDenseArray()[self.jump.system.prescribed] = 0.0
+        displacements = forces.duplicate()
+        self.solver.solve_several(forces, displacements)
+        displacements.getDenseArray()[self.jump.system.prescribed] = 0.0
+        jumps = B.matMult(displacements)
+        product: Array = jumps.getDenseArray().copy()
+        for owned in (multipliers, forces, displacements, jumps):
+            owned.destroy()
+        return product
+
+
+#: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
+#: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half
+#: the share, two of 216 standing piles of stones (`tests/validation/test_random_piles.py`) are not
+#: solved, and all piles together take 3,594 iterations and 7,088 products in place of 1,253 and
+#: 8,243; with twice the share, they take 463 and 8,770. Two walls of 15 bricks, with up to 220 and
+#: 348 multipliers on a brick, would take 0.5 and 0.65 times the time if A were computed as a
+#: matrix.
+BODY_SHARE, MOST_ON_BODY = 0.5, 200
+
+#: Number of solves with K in one block.
+BLOCK = 32
+
+#: Largest number of rows of a dense matrix with a direct solver for K, and with an iterative
+#: solver, which needs a solve for each column. With 3,000 rows, a step of Newton's method takes
+#: some seconds, and the matrix takes 72 MB on each rank.
+LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
+
+
+def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel | None:
+    """Return A as a sparse matrix for many small bodies; None if this does not pay. Collective.
+
+    The matrix does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The
+    result is also None with an iterative solver for K or a mixed space, for which the method does
+    not work.
+
+    K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
+    are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
+    A couples multipliers only if they act on the same body. One solve with K finds one column of
+    each A_b: in this solve, each body is loaded by one of its own multipliers, without the opposite
+    force on the other body of this multiplier. The number of solves is the largest number of
+    multipliers on a body, however many bodies there are. (Compare Curtis, Powell and Reid 1974, On
+    the estimation of sparse Jacobian matrices.)
+
+    Args:
+        operator: A. Each solve counts as a product.
+        local_compliance: (size,) compliance of nodes whose neighbours are fixed.
+    """
+    jump = operator.jump
+    if not operator.exact or jump.system.component is not None:
+        return None
+    label = label_bodies(jump.system.V)
+    bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
+    row, body, forces = _forces_on_bodies(jump, label, bodies)
+    acts = csr_array((np.ones(len(row)), (row, body)), shape=(len(jump.gap), bodies))
+    members = csc_array(jump.reductions.stacked(acts))  # row indices: the multipliers of each body
+    members.sort_indices()
+    size, numbers = members.shape[0], np.diff(members.indptr)
+    count = int(numbers.max())
+    if not 0 < count <= min(BODY_SHARE * size, MOST_ON_BODY):
+        return None
+    members.data = np.arange(members.nnz) - np.repeat(members.indptr[:-1], numbers)
+    start, end = jump.matrix.getOwnershipRange()
+    place = csr_array(members)[start:end].data
+    B = sparse_matrix(forces, jump.matrix.getSizes()[1], jump.comm)
+    responses = _columns(operator, place, count, B)
+    force, column = np.nonzero(np.arange(count) < numbers[body, None])
+    multiplier = members.indices[members.indptr[body[force]] + column]
+    entries = (responses[force, column], (row[force], multiplier))
+    rows = csr_array(entries, shape=(len(jump.gap), size))
+    return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
+
+
+def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel | None:
+    """Return A as a dense matrix: one solve with K for each multiplier, in blocks. Collective.
+
+    The result is None if A is too large (`LARGEST_DENSE`, `LARGEST_DENSE_ITERATIVE`).
+
+    Args:
+        operator: A. Each solve counts as a product.
+        local_compliance: (size,) compliance of nodes whose neighbours are fixed.
+    """
+    jump, size = operator.jump, operator.jump.matrix.getSize()[0]
+    if size > (LARGEST_DENSE if operator.exact else LARGEST_DENSE_ITERATIVE):
+        return None
+    start, end = jump.matrix.getOwnershipRange()
+    rows = _columns(operator, np.arange(start, end), size, jump.matrix)
+    return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
+
+
+def _columns(operator: DualOperator, place: Indices, count: int, B: PETSc.Mat) -> Array:
+    """Return products (size, count) with unit vectors or sums of unit vectors. Collective.
+
+    Args:
+        operator: A.
+        place: (size,) column in which each multiplier is 1.
+        count: number of columns.
+        B: see `DualOperator.apply_to_all`.
+    """
+    result = np.empty((len(place), count))
+    for start in range(0, count, BLOCK):
+        columns = np.arange(start, min(start + BLOCK, count))
+        units = (place[:, None] == columns).astype(np.float64)
+        result[:, columns] = operator.apply_to_all(units, B)
+    return result
+
+
+def _solve(matrix: csr_array, right: Array) -> Array:
+    """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
+
+    On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
+    take a third of the memory.
+
+    Raises:
+        StiffnessError: the factorisation failed.
+    """
+    A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
+    factors = PETSc.PC().create(MPI.COMM_SELF)
+    x, b = A.createVecs()
+    b.array = right
+    factors.setOperators(A)
+    factors.setType(PETSc.PC.Type.LU)
+    factors.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    factors.setFactorSetUpSolverType()
+    factor = factors.getFactorMatrix()
+    # ordering by approximate minimum fill: for a matrix of 5,005 bricks, it takes 0.76 times the
+    # time of MUMPS's own choice, and 0.87 times the memory
+    factor.setMumpsIcntl(7, 2)
+    factor.setMumpsIcntl(14, SPARE_WORKSPACE)
+    factors.apply(b, x)
+    failure = factor.getMumpsInfog(1)
+    if failure < 0:
+        raise StiffnessError(
+            f"MUMPS could not solve for the contacts of many bodies: INFOG(1) = {failure} "
+            "(-9 or -13: out of memory; see its manual)."
+        )
+    return np.array(x.array)
+
+
+def _forces_on_bodies(
+    jump: JumpOperator, label: Indices, bodies: int
+) -> tuple[Indices, Indices, csr_array]:
+    """Return the rows of B, split into the rows of the matrices B_b of all bodies. Collective.
+
+    Args:
+        jump: B.
+        label: the body of each node of this rank.
+        bodies: number of bodies.
+
+    Returns:
+        the local number (m,) of the multiplier of each row of this rank; the body (m,) on which the
+        multiplier acts in this row; and the rows (m, all unknowns). Rows are sorted by multiplier,
+        then by body.
+    """
+    V, (pointers, indices, data) = jump.system.V, jump.matrix.getValuesCSR()
+    row = np.repeat(np.arange(len(jump.gap)), np.diff(pointers))
+    row, indices, data = (entries[data != 0.0] for entries in (row, indices, data))
+    nodes, position = np.unique(indices // V.dofmap.index_map_bs, return_inverse=True)
+    owned = label[: V.dofmap.index_map.size_local]
+    body = labels_of(V, owned, nodes.astype(np.int64))[position]
+    number, force = np.unique(row * bodies + body, return_inverse=True)
+    shape = (len(number), jump.matrix.getSize()[1])
+    return number // bodies, number % bodies, csr_array((data, (force, indices)), shape=shape)
+
+
+#: Number of layers of cells around the contact whose nodes may move. `LAYERS` is for a direct
+#: solver for K. `LAYERS_BEFORE_COARSE` is for multigrid, whose coarse level represents the rest of
+#: the bodies. (On two bricks with a direct solver, a load step takes up to 10 products with one
+#: layer, 8 with two layers, and more without layers. With multigrid, a solve takes 33 Krylov
+#: iterations with one layer, and 30 with two layers, which cost twice as much.)
+LAYERS, LAYERS_BEFORE_COARSE = 2, 1
+
+
+#: Largest number of unknowns of the level. A factorisation takes a hundredth of a second, a solve a
+#: millisecond. (On two bricks with N = 16, a contact solve takes 63 Krylov iterations with 42
+#: unknowns, 58 with 306 unknowns, and 54 with 2244 unknowns.)
+MOST_UNKNOWNS = 3000
+
+
+def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None:
+    """Return the factors of P'KP for the largest multigrid level that is small enough.
+
+    The columns of P are the basis displacements of the level (`MOST_UNKNOWNS`): they move bodies as
+    a whole. The caller owns the result. Collective.
+
+    Args:
+        pc: a preconditioner, whose multigrid levels are searched.
+
+    Returns:
+        the interpolations whose product is P, the finest first, and the factors; None if the
+        preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
+    """
+    interpolations: list[PETSc.Mat] = []
+    while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
+        for level in range(pc.getMGLevels() - 1, 0, -1):
+            interpolations.append(pc.getMGInterpolation(level))
+            matrix = pc.getMGSmoother(level - 1).getOperators()[0]
+            if matrix.getSize()[0] <= MOST_UNKNOWNS:
+                matrix = matrix.convert("aij", PETSc.Mat())
+                matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+                try:
+                    return interpolations, cholesky(matrix, {}, None)
+                except StiffnessError:  # multigrid may work with a singular level
+                    return None
+        pc = pc.getMGSmoother(0).getPC()
+    return None
+
+
+class NearField(PetscOwner):
+    """The approximation D = B S B' <= A, where S <= K^-1 approximates K^-1 near the contact.
+
+    Effects of tractions that oscillate between nodes decay within a few cells: nodes further away
+    may be clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped preconditioner
+    clamps all nodes except interface nodes, and the Dirichlet preconditioner clamps none: Farhat,
+    Mandel and Roux 1994.) Further away, the effect of tractions is smooth: with multigrid, a coarse
+    level in S represents most of this effect, and a few products with A represent the rest; without
+    multigrid, products with A represent all of this effect. On two bricks (N = 10), 0.02 A <= D
+    without the coarse level, and 0.4 A <= D with it; without it, contact solves of two bricks take
+    1.3 to 1.8 times the Krylov iterations.
+
+    S solves a local system, with K on the degrees of freedom near the contact while all others are
+    clamped, twice. Between the two solves, a system on a coarse level of multigrid is solved. The
+    right-hand side of each solve is the remaining residual. With the projections P_1 and P_0 onto
+    the local and the coarse space, which are orthogonal in the energy inner product,
+    K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and positive semidefinite
+    (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for K has no coarse
+    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
+
+    Owns PETSc objects: call `destroy()`. The caller keeps B and the solver for K.
+    """
+
+    def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
+        """Find the nodes near the contact, and factor K there and on the coarse level. Collective.
+
+        Args:
+            jump: B.
+            solver: solver for K.
+
+        Raises:
+            StiffnessError: the factorisation failed.
+        """
+        self._jump, K = jump, solver.matrix
+        self.comm = jump.comm
+        layers = LAYERS if solver.exact else LAYERS_BEFORE_COARSE
+        near = np.repeat(_near(jump, layers), jump.system.V.dofmap.index_map_bs)
+        self._dofs = np.flatnonzero(near & ~jump.system.prescribed)
+        numbers = (K.getOwnershipRange()[0] + self._dofs).astype(PETSc.IntType)
+        rows = PETSc.IS().createGeneral(numbers, comm=K.comm)
+        K_local = K.createSubMatrix(rows, rows)
+        K_local.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._local = cholesky(K_local, {}, None)
+        self._local_u, self._local_f = K_local.createVecs()
+        self._u = jump.work
+        self._coarse = coarse_level(solver.preconditioner)
+        if self._coarse is not None:
+            coarser = (P.createVecRight() for P in self._coarse[0])
+            self._residuals = [K.createVecLeft(), *coarser]
+            self._corrections = [residual.duplicate() for residual in self._residuals]
+            # the rows of K that couple the local degrees of freedom with all degrees of freedom
+            self._rows = K.createSubMatrix(rows, None)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._local.destroy()
+        if self._coarse is not None:
+            # on several ranks, an interpolation is never freed if Python drops its reference after
+            # the hierarchy, which refers to it as well
+            for owned in (*self._coarse[0], self._coarse[1]):
+                owned.destroy()
+
+    def apply(self, x: Array) -> Array:
+        """Return D x, (size,). Collective."""
+        force = self._jump.contact_force(x)
+        self._local_f.array = force.array[self._dofs]
+        self._local.solve(self._local_f, self._local_u)
+        self._u.set(0.0)
+        self._u.array[self._dofs] = self._local_u.array
+        if self._coarse is not None:
+            interpolations, factors = self._coarse
+            residuals, corrections = self._residuals, self._corrections
+            self._rows.multTranspose(self._local_u, residuals[0])
+            residuals[0].aypx(-1.0, force)
+            for level, P in enumerate(interpolations):
+                P.multTranspose(residuals[level], residuals[level + 1])
+            factors.solve(residuals[-1], corrections[-1])
+            for level, P in reversed(list(enumerate(interpolations))):
+                P.mult(corrections[level + 1], corrections[level])
+            self._u.axpy(1.0, corrections[0])
+            self._rows.mult(self._u, self._local_f)
+            self._local_f.array = force.array[self._dofs] - self._local_f.array
+            self._local.solve(self._local_f, self._local_u)
+            self._u.array[self._dofs] += self._local_u.array
+        self._u.array[self._jump.system.prescribed] = 0.0
+        return self._jump.of_unknowns(self._u)
+
+
+def _near(jump: JumpOperator, layers: int) -> Mask:
+    """Return a mask of the owned nodes within some layers of cells from the contact. Collective."""
+    V, B = jump.system.V, jump.matrix
+    nodes, cells = V.dofmap.index_map, V.dofmap.list
+    touched, (_, columns, values) = B.createVecRight(), B.getValuesCSR()
+    touched.setValues(columns, np.abs(values), PETSc.InsertMode.ADD)
+    touched.assemble()
+    of_nodes = touched.array.reshape(nodes.size_local, V.dofmap.index_map_bs)  # maybe no nodes
+    near = la.vector(nodes, 1, np.float64)
+    near.array[: nodes.size_local] = of_nodes.any(axis=1)
+    for _ in range(layers):
+        near.scatter_forward()
+        around = cells[(near.array[cells] > 0.0).any(axis=1)]
+        near.array[around] = 1.0
+        near.scatter_reverse(la.InsertMode.add)
+    return np.asarray(near.array[: nodes.size_local] > 0.0)
+
+
+#: With a direct solver, A is computed at once if it has at most `FEW` rows. If K has fewer than
+#: `CHEAP` unknowns, as in the plane, columns of A cost less, and the number of rows may be larger
+#: in proportion. (Two strips in the plane with 802 rows and 4,812 unknowns, continued from a file,
+#: take 13 iterations in place of 1, and six times the time, without.)
+FEW, CHEAP = 400, 10_000
+
+
+class ContactCompliance(PetscOwner):
+    """A = B K^-1 B', and all data that follow from K alone: computed once for each K.
+
+    Data that not every solve needs are computed on first access.
+
+    Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
+
+    Attributes:
+        jump: B.
+        operator: A.
+        springs: the springs that are in the solver's K, but not in the system's K; None if no body
+            floats or is held softly.
+    """
+
+    def __init__(
+        self,
+        jump: JumpOperator,
+        solver: StiffnessSolver,
+        springs: FixingSprings | None,
+    ) -> None:
+        """Compute the data that every solve needs. Collective.
+
+        Args:
+            jump: B.
+            solver: solver for the system's K plus the springs.
+            springs: springs that fix floating and softly held bodies; None if there are none.
+
+        Raises:
+            StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
+                the solver is destroyed.
+        """
+        self.jump, self.springs = jump, springs
+        self.comm = self.jump.comm
+        with destroyed_on_error(solver):
+            if jump.system.component is not None:
+                _ = self.certificate  # now, since it raises errors of the scene
+            self.operator = DualOperator(jump, solver)
+        self._store: KnownProducts | None = None
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, and those of the solver. Collective."""
+        self._destroy_but_solver()
+        self.operator.solver.destroy()
+
+    def _destroy_but_solver(self) -> None:
+        vars(self).pop("certificate", None)
+        if "near_field" in vars(self):
+            self.near_field.destroy()
+
+    def on(self, jump: JumpOperator) -> ContactCompliance:
+        """Return the compliance for another B, such as the B of displaced surfaces. Collective.
+
+        The solver is the same. PETSc objects of this compliance are destroyed, except the solver.
+        K need not be factored: surfaces are also paired after a factorisation has failed.
+        """
+        self._destroy_but_solver()
+        return ContactCompliance(jump, self.operator.solver, self.springs)
+
+    @cached_property
+    def floating(self) -> FloatingBodies | None:
+        """The floating and softly held bodies; None if there are none. Collective.
+
+        Raises:
+            StiffnessError: a solve failed.
+        """
+        if self.springs is None:
+            return None
+        U, stiffness = self.springs.response(self.jump.system.K, self.operator.solver)
+        jumps = product(self.jump.matrix, U)
+        return FloatingBodies(self.springs.modes, U, stiffness, jumps, self.jump.row_nodes)
+
+    @cached_property
+    def certificate(self) -> EnergyBound:
+        """The object that bounds errors in the energy norm. Collective."""
+        return EnergyBound(self.jump, self.nodal_stiffness)
+
+    @cached_property
+    def near_field(self) -> NearField:
+        """The near field, an approximation of A for oscillating tractions. Collective."""
+        return NearField(self.jump, self.operator.solver)
+
+    @cached_property
+    def estimator(self) -> DiscretisationError:
+        """The object that estimates the error of the mesh. Collective."""
+        system = self.jump.system
+        return DiscretisationError(system.form, system.V, system.axisymmetric)
+
+    def known_products(self) -> KnownProducts:
+        """Return the store of all known products with A. Collective.
+
+        The first call computes A if it is sparse, or if it has few rows (`FEW`).
+        """
+        if self._store is not None:
+            return self._store
+        compliance = np.reciprocal(self.nodal_stiffness)
+        self._store = sparse_model(self.operator, compliance)
+        if self._store is None:
+            jump, (size, unknowns) = self.jump, self.jump.matrix.getSize()
+            # in a mixed space, clamped nodes round the near field would fix its volume
+            has_near = size > 0 and jump.system.component is None
+            near = (lambda x: self.near_field.apply(x)) if has_near else None
+            self._store = ProductStore(jump.reductions, compliance, apply_near=near)
+            if self.operator.exact and 0 < size * min(1.0, unknowns / CHEAP) <= FEW:
+                self.complete_products()
+        return self._store
+
+    def complete_products(self) -> bool:
+        """Compute A as a dense matrix, unless it is known or too large; return whether it is known.
+
+        Collective.
+        """
+        if not isinstance(self._store, WholeModel):
+            compliance = np.reciprocal(self.nodal_stiffness)
+            model = dense_model(self.operator, compliance)
+            self._store = self._store if model is None else model
+        return isinstance(self._store, WholeModel)
+
+    @cached_property
+    def nodal_stiffness(self) -> Array:
+        """`local_stiffness` (size,), the same for all directions of a friction disc. Collective."""
+        return self.jump.discs.mean_over_discs(local_stiffness(self.jump))
+
+    @cached_property
+    def stress_rounding(self) -> float:
+        """Size of the pressures [stress] that the rounding of coordinates causes. Collective."""
+        jump = self.jump
+        stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
+        largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]
+        stiffness, extent = reduce_array(jump.comm, largest, MPI.MAX)
+        return float(ROUNDING * extent * stiffness)
+
+    def forget(self) -> None:
+        """Drop all products. Not collective."""
+        self._store = None

@@ -1,0 +1,447 @@
+"""Grids of a solution in VTK's layout, and files of them for ParaView: `.vtu` and `.pvd`.
+
+Pictures are made of the same grids.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import shutil
+import sys
+import xml.etree.ElementTree as ET
+import zlib
+from base64 import b64encode
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from numbers import Real
+from pathlib import Path
+from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx.plot
+from dolfinx import fem
+from dolfinx.mesh import MeshTags
+
+from dolfinx_tresca._base.agreement import collective, comm_of
+from dolfinx_tresca._base.arguments import check_type
+from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.atomic_write import atomic_write, file_named_in_errors
+from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca._base.compat import same_topology
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
+from dolfinx_tresca.errors import ContactError, InputError, shown
+from dolfinx_tresca.solution.evaluation import Evaluation
+from dolfinx_tresca.solution.fields import IntegerFunction
+
+ROOT = 0  #: the rank that gets the grids
+
+#: Fields that users may add to the volume.
+Field: TypeAlias = "fem.Function | MeshTags"
+
+#: Mesh -> number of each cell's body; kept, since finding bodies takes longer than writing a step.
+_LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
+
+#: Names and colours of the states, which ParaView's colour map editor imports: blue for stick,
+#: orange for slip, light colours for open nodes.
+STATE_COLOURS = Path(__file__).with_name("contact_state.json")
+
+_TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
+
+
+def optional(name: str) -> Any:
+    """Import a module that is needed for pictures or `to_pyvista` only. Not collective.
+
+    Raises:
+        ContactError: it is not installed, or does not suit what is installed.
+    """
+    try:
+        return import_module(name)
+    except (ImportError, AttributeError) as error:  # AttributeError: VTK lacks something
+        package = name.partition(".")[0]
+        raise ContactError(
+            f"pictures and to_pyvista() need {package}, which does not import ({error}): install "
+            f"python3-{package} (Debian) or {package} (conda, pip); `pip install -U pyvista` "
+            "brings one that goes with its VTK."
+        ) from error
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A mesh with each node and cell once.
+
+    Attributes:
+        dim: dimension of space, 2 or 3.
+        points: (n, 3) nodes [length].
+        cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
+        cell_types: (m,) VTK's numbers of the cell types.
+        values: name -> (n,), (n, 3) or (n, 9) values of a Function; vectors and tensors of 2D are
+            padded with 0.
+        cell_values: name -> (m,), (m, 3) or (m, 9) values of a Function that is constant in cells.
+    """
+
+    dim: int
+    points: Array
+    cells: npt.NDArray[np.int64]
+    cell_types: npt.NDArray[np.int64]
+    values: dict[str, npt.NDArray[Any]]
+    cell_values: dict[str, npt.NDArray[Any]]
+
+    def to_pyvista(self) -> Any:
+        """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
+
+        Raises:
+            ContactError: pyvista is not installed, or does not suit the installed VTK.
+        """
+        pyvista = optional("pyvista")
+        grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
+        grid.point_data.update(self.values)
+        grid.cell_data.update(self.cell_values)
+        return grid
+
+
+def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
+    """Return the grid of the whole mesh on rank `ROOT`, None on other ranks. Collective.
+
+    Args:
+        functions: Functions on the same mesh: one or more continuous Lagrange Functions of one
+            degree, of which the first Function is one, and maybe Functions of degree 0.
+    """
+    space = functions[0].function_space
+    index_map = space.dofmap.index_map
+    owned = slice(index_map.size_local)
+    cells, cell_types, points = dolfinx.plot.vtk_mesh(space)
+    cells = np.array(cells, dtype=np.int64).reshape(-1, 1 + space.dofmap.list.shape[1])
+    nodes = cells[:, 1:]
+    nodes[:] = index_map.local_to_global(nodes.astype(np.int32).ravel()).reshape(nodes.shape)
+    order = np.arange(len(points))
+    arrays: dict[tuple[int, str], npt.NDArray[Any]] = {}
+    for function in functions:
+        rows, V = _rows(function), function.function_space
+        if V.ufl_element().degree == 0:
+            arrays[1, function.name] = rows[: len(cells)]
+        else:  # in the numbering of `space`, which has the same nodes
+            order[space.dofmap.list] = V.dofmap.list
+            arrays[0, function.name] = rows[order][owned]
+    columns = points[owned], cells, np.asarray(cell_types), *arrays.values()
+    gathered = space.mesh.comm.gather(columns, root=ROOT)
+    if gathered is None:
+        return None
+    # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
+    points, cells, cell_types, *whole = map(np.concatenate, zip(*gathered, strict=True))
+    fields: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+    for (is_of_cells, name), values in zip(arrays, whole, strict=True):
+        fields[is_of_cells][name] = values
+    return Grid(space.mesh.geometry.dim, points, cells, cell_types, *fields)
+
+
+def _rows(function: fem.Function) -> npt.NDArray[Any]:
+    """Return a Function's values (n,), (n, 3) or (n, 9), with zeros as third components of 2D.
+
+    Values of an `IntegerFunction` are integers. Not collective.
+    """
+    shape = function.ufl_shape
+    values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
+    if isinstance(function, IntegerFunction):
+        values = np.rint(values).astype(np.int32)
+    values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
+    rows: npt.NDArray[Any] = values.reshape(-1, 3 ** len(shape)) if shape else values
+    return rows
+
+
+def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
+    """Return the grids "volume" and "contact" of a solution on the first rank, none on others.
+
+    With several pairs there is a grid for each, named after the pair. The degree of the volume is
+    high enough for curved cells to be shown as curved; surfaces are of degree 1. Collective.
+
+    Args:
+        solution: the solution to be written.
+        fields: further Functions and tags for the grid "volume".
+
+    Raises:
+        InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
+            mesh, or has a name that is in use; or `fields` is a single field.
+    """
+    check_type("solution", solution, Evaluation, "what solve() has returned")
+    u, surfaces = solution.u, solution.surfaces
+    if isinstance(fields, fem.Function | MeshTags):
+        raise InputError(f"fields must be a sequence: write [field] for '{fields.name}' alone.")
+    mesh, V = u.function_space.mesh, u.function_space
+    if mesh not in _LABELS:
+        _LABELS[mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]  # counted from 1 as in messages
+    volume = [u, _of_cells(mesh, "body", slice(None), _LABELS[mesh])]
+    if solution.cell_errors is not None:
+        volume.append(solution.cell_errors)
+    for field in fields:
+        volume.append(_checked(field, u, [function.name for function in volume]))
+    blocks = [("volume", _in_one_degree(volume))]
+    for surface in surfaces:
+        blocks.append(("contact" if len(surfaces) == 1 else surface.name, [*surface.functions]))
+    grids: dict[str, Grid] = {}
+    for number, (name, functions) in enumerate(blocks):
+        grid = gather_grid(functions)
+        if grid is not None:
+            grids[_unused_name(name, grids, number)] = grid
+    return grids
+
+
+def _unused_name(name: str, taken: Container[str], number: int) -> str:
+    """Return an unused name for a grid, of letters, digits and underscores. Not collective.
+
+    Args:
+        name: name of a pair.
+        taken: names of other grids.
+        number: number of the pair, which is appended if the name is taken.
+    """
+    result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
+    while result in taken:
+        result += f"_{number}"
+    return result
+
+
+def _of_cells(mesh: Any, name: str, cells: Any, values: npt.NDArray[Any]) -> IntegerFunction:
+    """Return a Function of degree 0 with integer values (n,) in given cells (n,). Collective."""
+    function = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name=name)
+    function.x.array[cells] = values
+    return function
+
+
+def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Function:
+    """Check a field of the user and return it; tags of cells become a Function of degree 0.
+
+    Raises:
+        InputError: see `grids_of`.
+    """
+    mesh = u.function_space.mesh
+    if not isinstance(field, fem.Function | MeshTags):
+        raise InputError(
+            "fields must be Functions, such as interpolated expressions, or MeshTags of cells, "
+            f"found {shown(field)}."
+        )
+    if field.name in taken:
+        raise InputError(
+            f"there is a field '{field.name}' already: give yours another name, as in "
+            "field.name = 'mine'."
+        )
+    if isinstance(field, MeshTags):
+        if field.dim != mesh.topology.dim or not same_topology(field, mesh):
+            raise InputError(f"'{field.name}' are no tags of the cells of this mesh.")
+        return _of_cells(mesh, field.name, field.indices, field.values)
+    V = field.function_space
+    if not same_topology(V.mesh, mesh):
+        raise InputError(f"'{field.name}' lives on another mesh than the displacement.")
+    element = V.ufl_element()
+    lagrange = element.family_name == "P" and (element.degree == 0 or not element.discontinuous)
+    real = field.x.array.dtype.kind == "f"
+    if not (real and lagrange and V.dofmap.bs == math.prod(field.ufl_shape)):
+        raise InputError(
+            f"'{field.name}' must be a real Lagrange Function or one of degree 0 ('DG', 0), found "
+            f"{element} of {field.x.array.dtype}: interpolate it."
+        )
+    return field
+
+
+def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
+    """Interpolate Functions to the highest degree of these and of the geometry. Collective.
+
+    Functions of degree 0 stay.
+    """
+    mesh = functions[0].function_space.mesh
+    degrees = [function.function_space.ufl_element().degree for function in functions]
+    degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
+    results = []
+    for function in functions:
+        result = function
+        if function.function_space.ufl_element().degree not in (0, degree):
+            W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
+            result = fem.Function(W, name=function.name)
+            result.interpolate(function)
+            result.x.scatter_forward()
+        results.append(result)
+    return results
+
+
+class SolutionWriter:
+    """Writes solutions, such as those of load steps, as one time series for ParaView.
+
+    After each `write` the files are complete, even if the run is killed later. The first `write`
+    begins a new series and removes an older series of the same name::
+
+        writer = SolutionWriter("results/steps.pvd")
+        for step, load in enumerate(loads):
+            ...
+            writer.write(problem.solve(), time=step)
+    """
+
+    def __init__(self, path: str | Path, *, append: bool = False) -> None:
+        """Keep the path; nothing is read or written. Not collective.
+
+        Args:
+            path: the `.pvd`; the first rank's path counts.
+            append: whether to continue an existing series, after a restart: its steps before the
+                time of the first `write` stay. The first rank decides.
+
+        Raises:
+            InputError: the suffix is not `.pvd`.
+        """
+        if Path(path).suffix != ".pvd":
+            raise InputError(
+                f"files for ParaView are '.pvd', found '{path}'; to_pyvista() returns the data for "
+                "files of other kinds."
+            )
+        self._path = Path(path)
+        self._append = append
+        self._latest_time = -math.inf
+        # attributes of the grids in the index, on the first rank, after the first step
+        self._series: list[dict[str, str]] | None = None
+
+    @collective(comm_of("solution"), ignored=("time",))
+    def write(self, solution: Evaluation, time: float, *, fields: Sequence[Field] = ()) -> None:
+        """Add a solution. Collective.
+
+        Args:
+            solution: the solution that `ContactProblem.solve` returned.
+            time: time in any unit, larger than the previous one; the first rank's time counts.
+            fields: see `ContactSolution.write`.
+
+        Raises:
+            InputError: the time is not a number, or not larger than the previous one; a field is of
+                another kind, or the files cannot be written.
+        """
+        grids, comm = grids_of(solution, fields), solution.comm
+        time, path = comm.bcast((time, str(self._path)), root=ROOT)
+        if not isinstance(time, Real) or not self._latest_time < time < math.inf:
+            beyond = f" above {self._latest_time:g}, the last one"
+            raise InputError(
+                f"time must be a number{beyond if self._latest_time > -math.inf else ''}, "
+                f"found {time!r}."
+            )
+        self._path = Path(path)
+        with errors_on_all_ranks(comm), file_named_in_errors(self._path):
+            if comm.rank == ROOT:
+                self._write_step(float(time), grids)
+        self._latest_time = float(time)
+
+    def _write_step(self, time: float, grids: Mapping[str, Grid]) -> None:
+        """Write the grids of a step to a new folder, and then an index with this step.
+
+        Until the index replaces the old one, all files of the older steps are as they were. After
+        the first step, remove other steps: those of an older series, and what a killed run has
+        left. Not collective.
+
+        Raises:
+            OSError: a file cannot be written.
+            InputError: the existing series cannot be continued.
+        """
+        if self._series is not None:
+            series = list(self._series)
+        elif self._append and self._path.exists():
+            series = self._earlier_steps(time)
+        else:
+            series = []
+        steps = self._path.with_suffix("")
+        folders = (steps / f"{i:04}" for i in itertools.count())
+        folder = next(folder for folder in folders if not folder.exists())
+        folder.mkdir(parents=True)
+        try:
+            for number, (name, grid) in enumerate(grids.items()):
+                write_vtu(folder / f"{name}.vtu", grid)
+                file = f"{steps.name}/{folder.name}/{name}.vtu"
+                entry = {"timestep": repr(time), "part": str(number), "name": name, "file": file}
+                series.append(entry)
+            shutil.copyfile(STATE_COLOURS, steps / "state.json")
+            root = _root("Collection")
+            collection = ET.SubElement(root, "Collection")
+            for entry in series:
+                ET.SubElement(collection, "DataSet", entry)
+            ET.indent(root)
+            with atomic_write(self._path) as index:
+                ET.ElementTree(root).write(index, encoding="utf-8", xml_declaration=True)
+        except Exception:
+            _remove_grids(folder)
+            raise
+        if self._series is None:
+            kept = {Path(entry["file"]).parent.name for entry in series}
+            for step in steps.glob("[0-9]*"):
+                if step.name.isdecimal() and step.name not in kept:
+                    _remove_grids(step)
+        self._series = series
+
+    def _earlier_steps(self, time: float) -> list[dict[str, str]]:
+        """Return the entries of the existing index before a time. Not collective.
+
+        Raises:
+            OSError: the file cannot be read.
+            InputError: the file is no such index.
+        """
+        try:
+            entries = [item.attrib for item in ET.parse(self._path).iter("DataSet")]
+            return [entry for entry in entries if float(entry["timestep"]) < time]
+        except (ET.ParseError, KeyError, ValueError) as error:
+            raise InputError(
+                f"cannot add to '{self._path}', which is no series: {error!r}."
+            ) from error
+
+
+def _remove_grids(folder: Path) -> None:
+    """Remove the files of a step, and its folder if it is empty then. Not collective."""
+    for file in folder.glob("*.vtu"):
+        file.unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def write_vtu(path: Path, grid: Grid) -> None:
+    """Write a grid. Not collective.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    root = _root("UnstructuredGrid")
+    root.set("compressor", "vtkZLibDataCompressor")
+    whole = ET.SubElement(root, "UnstructuredGrid")
+    sizes = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
+    piece = ET.SubElement(whole, "Piece", sizes)
+    nodes = grid.cells[:, 1:]
+    sections: dict[str, dict[str, npt.NDArray[Any]]] = {
+        "PointData": grid.values,
+        "CellData": grid.cell_values,
+        "Points": {"Points": grid.points},
+        "Cells": {
+            "connectivity": nodes.ravel(),
+            "offsets": nodes.shape[1] * np.arange(1, len(nodes) + 1, dtype=np.int64),
+            "types": grid.cell_types.astype(np.uint8),
+        },
+    }
+    for section, arrays in sections.items():
+        element = ET.SubElement(piece, section)
+        for name, values in arrays.items():
+            array = ET.SubElement(element, "DataArray", Name=name, format="binary")
+            array.set("type", _TYPES[values.dtype.str[1:]])
+            array.set("NumberOfComponents", str(values.shape[1] if values.ndim == 2 else 1))
+            array.text = _compressed(values)
+    # the active array: ParaView initially colours by it, warps by it, and draws it as arrows
+    active = next(iter(grid.values))
+    piece[0].attrib.update(Scalars=active, Vectors=active)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _root(kind: str) -> ET.Element:
+    # in files of a version below 2.2, readers reorder the nodes of hexahedra of degree 2
+    order = f"{sys.byteorder.capitalize()}Endian"
+    header = {"version": "2.2", "byte_order": order, "header_type": "UInt64"}
+    return ET.Element("VTKFile", {"type": kind, **header})
+
+
+def _compressed(values: npt.NDArray[Any]) -> str:
+    """Return one compressed block as text; ParaView 5.11 fails at raw bytes behind the XML."""
+    data = values.tobytes()
+    packed = zlib.compress(data, level=1)
+    sizes = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
+    return (b64encode(sizes.tobytes()) + b64encode(packed)).decode()

@@ -1,0 +1,520 @@
+"""The undeformed surfaces of contact pairs: groups of pairs, and the facets with their tags.
+
+Pairs whose sides are parts of the same surfaces are paired together, as a `PairGroup`. `Undeformed`
+has the facets of both surfaces, which are displaced for each later pairing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+
+import basix
+import dolfinx
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, real
+from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca._base.compat import geometry_degree
+from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file, with_owned_values
+from dolfinx_tresca._base.parallel import (
+    errors_on_all_ranks,
+    gather_rows,
+    reduce_array,
+    row_of_least,
+    warn,
+)
+from dolfinx_tresca.errors import InputError, MeshError, PairingError
+from dolfinx_tresca.pairing.facets import (
+    MESH_ROUNDING,
+    NEGLIGIBLE,
+    OFFSET_DEGREE,
+    Facets,
+    quadrature,
+    tabulate,
+)
+from dolfinx_tresca.pairing.visibility import facet_origins
+from dolfinx_tresca.scene.friction import Bonded, DryFriction, Friction
+from dolfinx_tresca.scene.geometry import (
+    ON_SURFACE,
+    ExactSurface,
+    GmshGeometry,
+    Projection,
+    open_geometry,
+    project_points,
+)
+from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
+
+#: Arguments that pairs of a group must have in common.
+COMMON = ("sliding", "search_distance", "pairing", "geometry")
+
+#: Distance of a corner from its surface, relative to the size of the facet, beyond which the
+#: geometry must be wrong. Nodes that could not be snapped to the surface are nearer than this.
+FAR_CORNER = 0.5
+
+
+@dataclass(frozen=True)
+class PairGroup:
+    """Pairs that are paired as one pair of surfaces, so that a node has one multiplier.
+
+    Attributes:
+        numbers: the position of each pair in the list of the problem.
+        pairs: the pairs.
+        surfaces: the pair of surfaces with the tags of all pairs, and the law of one of them.
+        pair_of_tags: (secondary tags, primary tags) index in `pairs` of the pair between two tags
+            of `surfaces`; -1 if there is none, so that facets with these tags are not paired.
+        rank: (pairs,) rank of the laws, equal for pairs with the same law and the same added gap.
+            Of the pairs that meet at a node, those with the largest rank determine its law; the
+            first pair with this rank has the multiplier.
+    """
+
+    numbers: tuple[int, ...]
+    pairs: tuple[ContactPair, ...]
+    surfaces: ContactPair
+    pair_of_tags: Indices
+    rank: Indices
+
+    @classmethod
+    def from_pairs(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
+        """Return the group of some pairs. Not collective.
+
+        Raises:
+            InputError: the pairs differ in their `facet_tags`, or in an argument of `COMMON`.
+        """
+        pattern = pairs[0]
+        for pair in pairs[1:]:
+            differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
+            given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
+            if given._cpp_object is not second._cpp_object:
+                differ.append("facet_tags")
+            if differ:
+                raise InputError(
+                    f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
+                    f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
+                )
+        own = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
+        secondary, primary = (
+            list(dict.fromkeys(tag for tags in both for tag in tags))
+            for both in zip(*own, strict=True)
+        )
+        pair_of_tags = np.full((len(secondary), max(len(primary), 1)), -1)
+        for k, (own_tags, tags) in enumerate(own):
+            columns = [primary.index(tag) for tag in tags] or [0]
+            pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+        alike = [next(k for k, second in enumerate(pairs) if _same(pair, second)) for pair in pairs]
+        strengths = [(*_strength(pairs[k].friction), -k) for k in alike]
+        _, rank = np.unique(strengths, axis=0, return_inverse=True)
+        surfaces = pattern
+        if len(pairs) > 1:
+            surfaces = replace(
+                pattern,
+                facet_tags=pattern.given_tags("secondary")[0],
+                secondary=secondary,
+                primary=primary or pattern.primary,
+                gap=None,
+                name="; ".join(map(str, pairs)),
+            )
+        return cls(tuple(numbers), tuple(pairs), surfaces, pair_of_tags, rank.ravel())
+
+    def owners(self, shares: Array) -> Indices:
+        """Return for each node (n,) the index of the pair that has its multiplier.
+
+        Args:
+            shares: (n, pairs) parts of the nodes' areas that belong to each pair.
+        """
+        belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
+        strongest = np.where(belongs, self.rank, -1).max(axis=1, keepdims=True)
+        return np.asarray(np.argmax(self.rank == strongest, axis=1))
+
+    def say_laws(self, comm: MPI.Comm, shares: Array) -> None:
+        """Log which law acts at nodes of pairs with different laws or gaps. Collective."""
+        belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
+        for i, j in combinations(range(len(self.pairs)), 2):
+            if self.rank[i] == self.rank[j]:
+                continue
+            number = comm.allreduce(int((belongs[:, i] & belongs[:, j]).sum()))
+            if number:
+                stronger = self.pairs[i if self.rank[i] > self.rank[j] else j]
+                warn(
+                    comm,
+                    "pairing: %d nodes belong to %s and to %s: they follow the law of %s, %s",
+                    *(number, self.pairs[i], self.pairs[j], stronger, stronger.friction),
+                    about=f"{self.pairs[i]}, {self.pairs[j]}",
+                )
+
+
+def _same(pair: ContactPair, second: ContactPair) -> bool:
+    """Return whether two pairs have the same kind of law, its same arguments, and the same gap."""
+    laws = pair.friction, second.friction
+    arguments = [(pair.gap, second.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
+    return type(laws[0]) is type(laws[1]) and all(bool(np.all(a == b)) for a, b in arguments)
+
+
+def _strength(law: Friction) -> tuple[int, float, float]:
+    """Return the kind of a law, its coefficient and its constant bound, in ascending order.
+
+    A coefficient or bound that is no number and no Constant counts as 0.
+    """
+    if not isinstance(law, DryFriction):
+        return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
+    sizes = []
+    for bound in (law.terms.coefficient, law.terms.constant):
+        values = [
+            real(entry.value.item() if isinstance(entry, fem.Constant) else entry)
+            for entry in (bound if isinstance(bound, tuple) else (bound,))
+        ]
+        sizes.append(max(value or 0.0 for value in values))
+    return 1, sizes[0], sizes[1]
+
+
+def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
+    """Return the pairs in groups: pairs that share secondary nodes and a primary body. Collective.
+
+    Surfaces that touch themselves are groups of their own.
+
+    Raises:
+        InputError: pairs that must be paired together differ in an argument that must be the same.
+    """
+    single = [not pair.touches_itself for pair in pairs]
+    deformable = np.array([pair.obstacle is None for pair in pairs])
+    obstacles = [id(pair.obstacle) for pair in pairs]
+    linked = np.outer(single, single) & np.equal.outer(obstacles, obstacles)
+    np.fill_diagonal(linked, False)
+    if linked.any():
+        linked &= _shared(V, pairs, linked.any(axis=0), "secondary", None)
+    compared = linked.any(axis=0) & deformable
+    if compared.any():
+        linked &= ~deformable | _shared(V, pairs, compared, "primary", label_bodies(V))
+    count, group_of_pair = connected_components(csr_array(linked), directed=False)
+    members = [[k for k in range(len(pairs)) if group_of_pair[k] == g] for g in range(count)]
+    return [PairGroup.from_pairs([pairs[k] for k in numbers], numbers) for numbers in members]
+
+
+def _shared(
+    V: Any, pairs: Sequence[ContactPair], compared: Mask, side: SideName, label: Any | None
+) -> Mask:
+    """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
+
+    Args:
+        V: the space of the displacement.
+        pairs: the pairs.
+        compared: (pairs,) whether a pair is compared.
+        side: name of the side, which is deformable.
+        label: (nodes of V,) the body of each node on this rank; None: nodes are compared.
+    """
+    comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
+    V.mesh.topology.create_connectivity(dim, dim + 1)
+    rows = [np.zeros((0, 2), dtype=np.intp)]
+    for k in map(int, np.flatnonzero(compared)):
+        facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
+        nodes = fem.locate_dofs_topological(V, dim, facets)  # those of facets of other ranks, too
+        items = nodes if label is None else gather_rows(comm, np.unique(label[nodes]))
+        rows.append(np.column_stack([items, np.full(len(items), k)]))
+    item, pair = np.concatenate(rows).T
+    shape = int(item.max(initial=-1)) + 1, len(pairs)
+    incidence = coo_array((np.ones(len(item)), (item, pair)), shape=shape).tocsr()
+    return np.asarray(reduce_array(comm, (incidence.T @ incidence).toarray()) > 0.0)
+
+
+@dataclass(frozen=True)
+class Undeformed:
+    """The facets of a pair's undeformed surfaces that this rank owns.
+
+    Attributes:
+        group: the pairs, which are paired together.
+        sides: tag -> facets of a side, the secondary side first. There is only one side if the
+            primary side is a rigid obstacle, or if the surface touches itself.
+    """
+
+    group: PairGroup
+    sides: dict[int, Facets]
+
+    @classmethod
+    def from_mesh(
+        cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
+    ) -> Undeformed:
+        """Extract the surfaces from the mesh. Collective.
+
+        Args:
+            V: vector space of degree 1 or 2.
+            prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of
+                freedom.
+            group: the pairs.
+            axisymmetric: whether integrals are over rings about the axis x = 0.
+
+        Raises:
+            InputError: tags or geometry are wrong.
+            PairingError: facets are inside a body, or have no area.
+            MeshError: Gmsh cannot read the geometry file any more.
+        """
+        pair = group.surfaces
+        sides: dict[int, Facets] = {}
+        for name in _deformable_sides(pair):
+            facets = tagged_facets(V, prescribed, pair, name)
+            sides[getattr(pair, name)] = replace(facets, axisymmetric=axisymmetric)
+        sides = with_offsets(V, pair, sides)
+        if pair.touches_itself:
+            facets = sides[pair.secondary]
+            sides = {pair.secondary: replace(facets, origins=facet_origins(V, facets))}
+        return cls(group, sides)
+
+    def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
+        """Return tag -> displaced facets of each side that this rank owns. Collective.
+
+        Args:
+            V: the space of the displacement.
+            u: (nodes, dim of space) displacement of this rank's nodes [length].
+
+        Raises:
+            PairingError: displaced facets have no area.
+        """
+        result = {}
+        for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False):
+            node = V.dofmap.index_map.global_to_local(facets.nodes.ravel())
+            points = facets.points.copy()
+            points[:, :, : u.shape[1]] += u[node.reshape(facets.nodes.shape)]
+            moved = facets.moved_to(points)
+            result[tag] = checked(V.mesh.comm, moved, self.group.surfaces, name)
+        return result
+
+
+def _deformable_sides(pair: ContactPair) -> tuple[SideName, ...]:
+    """Return the names of the sides of a pair that have facets of their own."""
+    return SIDES[:1] if pair.touches_itself or pair.obstacle is not None else SIDES
+
+
+def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
+    """Return the facets of a side that this rank owns. Collective.
+
+    Args:
+        V: vector space of degree 1 or 2.
+        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
+        pair: the pair of surfaces.
+        side: the side, which is deformable.
+
+    Raises:
+        InputError: no facet has one of the tags.
+        PairingError: facets are inside a body, or have no area.
+    """
+    mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
+    comm, dim = mesh.comm, mesh.topology.dim - 1
+    for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
+        mesh.topology.create_connectivity(entity, neighbour)
+    chosen = facet_tags.indices < mesh.topology.index_map(dim).size_local
+    chosen &= np.isin(facet_tags.values, tags)
+    facets, order = facet_tags.indices[chosen], np.argsort(tags)
+    tag_index = order[np.searchsorted(tags, facet_tags.values[chosen], sorter=order)]
+    exterior = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    counts = [np.bincount(index, minlength=len(tags)) for index in (tag_index, tag_index[exterior])]
+    for tag, number, outside in zip(tags, *reduce_array(comm, counts), strict=True):
+        if number == 0:
+            in_use = sorted(set().union(*comm.allgather(np.unique(facet_tags.values).tolist())))
+            raise InputError(
+                f"no facet has the tag {tag} of the {side} side; the tags in use are {in_use}."
+            )
+        if outside < number:
+            raise PairingError(
+                f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie "
+                "inside a body: contact needs two surfaces with nodes of their own. Do not merge "
+                "the nodes of the bodies when meshing."
+            )
+
+    dofmap = V.dofmap
+    to_cell = mesh.topology.connectivity(dim, dim + 1)
+    cells = to_cell.array[to_cell.offsets[facets]]
+    kinds = basix.cell.subentity_types(V.element.basix_element.cell_type)[dim]
+    cell, sides = kinds[0].name, len(kinds)
+    of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
+    place = (of_cell[cells] == facets[:, None]).argmax(axis=1)
+    closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)]
+    corners = len(basix.topology(kinds[0])[0])
+
+    x = V.tabulate_dof_coordinates()
+    cell_nodes = dofmap.list[cells]
+    nodes = np.take_along_axis(cell_nodes, np.array(closures)[place], axis=1)
+    points = x[nodes]
+    middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
+    free = with_owned_values(V, (~prescribed).astype(np.float64)).x.array
+    is_free = free.reshape(-1, dofmap.index_map_bs) > 0.5
+    numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
+    result = Facets(
+        cell,
+        V.element.basix_element.degree,
+        np.asarray(numbers, dtype=np.int64),
+        points,
+        is_free[nodes[:, :corners]],
+        numbers_in_file(V)[nodes[:, :corners]],
+        outward=np.ones(len(facets)),
+        offsets=np.zeros((len(facets), 0, 3)),
+        origins=np.zeros((len(facets), 0)),
+        tag_index=tag_index,
+        bent=False,
+    ).moved_to(points)
+    ahead = points[:, :corners].mean(axis=1) - middle
+    vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
+    result.outward[dots(vectors, ahead) < 0.0] = -1.0
+    return checked(comm, result, pair, side)
+
+
+def checked(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
+    """Check the areas of a side's facets; return the facets with `bent` set for all ranks.
+
+    Before the call it may describe the facets of this rank only. Collective.
+
+    Raises:
+        PairingError: a facet has no area.
+    """
+    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
+    largest, bent = reduce_array(comm, [size.max(initial=0.0), float(facets.bent)], MPI.MAX)
+    # in 2D the area of a facet is its size, so it is compared with the largest facet
+    whole = size**2 if facets.dim == 2 else largest
+    flat = facets.areas <= (MESH_ROUNDING + facets.rounding) * whole
+    number, total = reduce_array(comm, np.array([flat.sum(), len(flat)]))
+    if number > 0:
+        where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
+        raise PairingError(
+            f"{number} of the {total} facets of {pair.side(side)} ({side} side) have no area; "
+            f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."
+        )
+    return replace(facets, bent=bool(bent))
+
+
+def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
+    """Return the sides of a pair with the `Facets.offsets` of their facets. Collective.
+
+    The projections of `pair.geometry`, or else of the geometry that the pair's tags know, are
+    evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. Without projections the sides are
+    returned unchanged. If a geometry that the user did not give fails, a warning is logged, and all
+    sides are returned unchanged.
+
+    Args:
+        V: the space of the displacement.
+        pair: the contact pair.
+        sides: tag -> facets of a side that this rank owns, undeformed.
+
+    Raises:
+        InputError: a projection fails, or facets are not on their surface.
+        MeshError: Gmsh cannot read the geometry file any more.
+    """
+    geometry, limit = pair.geometry, FAR_CORNER
+    if geometry is None:
+        geometry, limit = getattr(pair.facet_tags, "geometry", None), ON_SURFACE
+    curved = geometry.curved if isinstance(geometry, GmshGeometry) else geometry or {}
+    tags_of_sides = [pair.given_tags(name)[1] for name in _deformable_sides(pair)]
+    if pair.obstacle is not None or curved.keys().isdisjoint(chain.from_iterable(tags_of_sides)):
+        return sides
+    result = {}
+    try:
+        with errors_on_all_ranks(V.mesh.comm), open_geometry(geometry or {}) as surfaces:
+            for (side, facets), tags in zip(sides.items(), tags_of_sides, strict=True):
+                offsets = _offsets_of_tags(facets, tags, surfaces, V.mesh.geometry.dim, limit)
+                result[side] = replace(facets, offsets=offsets)
+    except (InputError, MeshError) as error:
+        if pair.geometry is not None:
+            raise
+        warn(
+            V.mesh.comm,
+            "contact pair %s: the curved surfaces in the file from which Gmsh made the mesh are "
+            "not used: %s Smooth surfaces through the nodes take their place, as with "
+            "ContactPair(geometry={}).",
+            *(pair, f"{error}".rstrip(".") + "."),
+            about=str(pair),
+        )
+        return sides
+    return result
+
+
+def _offsets_of_tags(
+    facets: Facets,
+    tags: Sequence[int],
+    surfaces: Mapping[int, ExactSurface],
+    dim: int,
+    limit: float,
+) -> Array:
+    """Return the `Facets.offsets` of facets to the known surfaces of their tags. Not collective.
+
+    `limit` is the largest distance of a corner from its surface, relative to the size of the facet:
+    `FAR_CORNER`, or `ON_SURFACE` if the user did not ask for this geometry.
+
+    Raises:
+        InputError: a projection fails, or facets are not on their surface.
+        MeshError: Gmsh cannot read the geometry file any more.
+    """
+    count = len(facets.lagrange_points(OFFSET_DEGREE))
+    result = np.full((len(facets.points), count, 3), np.nan)
+    for k, tag in enumerate(tags):
+        if tag not in surfaces:
+            continue
+        index = np.flatnonzero(facets.tag_index == k)
+        of_tag = facets.selected(index)
+        result[index] = _offsets(of_tag, tag, surfaces[tag].pieces, dim)
+        size = np.ptp(of_tag.points, axis=1).max(axis=1)
+        away = np.linalg.norm(result[index, : facets.corners], axis=2).max(axis=1)
+        relative = (away / size).max(initial=0.0)
+        if relative > limit:
+            raise InputError(
+                f"facets with tag {tag} are not on their surface in `geometry`: a corner is "
+                f"{away.max():.2g} away from it, {relative:.2g} times the size of its facet. Give "
+                "the geometry from which the mesh was made, in its units; for a mesh that was "
+                "moved, give functions of points."
+            )
+    return result
+
+
+def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -> Array:
+    """Return the `Facets.offsets` of facets by projection onto their surface. Not collective.
+
+    A facet belongs to the piece of the surface that is nearest to its corners; of pieces that all
+    corners are on, to the one that is nearest to its centre. So a facet at an edge is not projected
+    onto the surface beyond the edge.
+    """
+    points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
+
+    def moves(piece: Projection, points: Array) -> Array:
+        places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
+        moved = project_points(places, f"geometry[{tag}]", piece, dim) - places
+        return np.asarray(moved[index.ravel()].reshape(points.shape))
+
+    if len(pieces) == 1:
+        return moves(pieces[0], points)
+    corners = points[:, : facets.corners]
+    probes = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+    away = np.stack([np.linalg.norm(moves(piece, probes), axis=2) for piece in pieces])
+    of_corners = away[:, :, :-1].max(axis=2)
+    rounding = ON_SURFACE * np.ptp(corners, axis=1).max(axis=1)
+    tied = of_corners <= of_corners.min(axis=0) + rounding
+    nearest = np.where(tied, away[:, :, -1], np.inf).argmin(axis=0)
+    result: Array = np.zeros_like(points)
+    for k, piece in enumerate(pieces):
+        result[nearest == k] = moves(piece, points[nearest == k])
+    return result
+
+
+def straightened(V: Any, u: Array) -> Array:
+    """Return u without the part that would bend edges beyond the degree of the mesh's geometry.
+
+    Not collective.
+
+    If V has a higher degree than the geometry, each node that is not at a vertex is moved by the
+    mean displacement of the vertices of its edge, face or cell; else the result is u.
+
+    Args:
+        V: the space of the displacement.
+        u: (nodes, dim of space) displacement of this rank's nodes [length].
+    """
+    element = V.element.basix_element
+    if element.degree <= geometry_degree(V.mesh):
+        return u
+    cells, corners = V.dofmap.list, entities_per_cell(V, 0)
+    hats = tabulate(element.cell_type.name, 1, 0, element.points)[0]
+    result = u.copy()
+    result[cells] = hats @ u[cells[:, :corners]]
+    return result
