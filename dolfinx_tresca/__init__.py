@@ -20,8 +20,7 @@ from dolfinx_tresca.errors import (
     PairingError,
     StiffnessError,
 )
-from dolfinx_tresca.guaranteed.bound import GuaranteedError
-from dolfinx_tresca.guaranteed.goal import GuaranteedGoal
+from dolfinx_tresca.guaranteed.bound import GuaranteedError, GuaranteedGoal
 from dolfinx_tresca.monitor import Iteration, ProgressBar
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.files import SolutionWriter

@@ -15,8 +15,7 @@ from dolfinx_tresca._base.parallel import reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.guaranteed.cells import mean_products
-from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require, spread
+from dolfinx_tresca.guaranteed.cells import OwnedCells, mean_products, require, spread
 from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, joined
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.pairing.undeformed import PairGroup

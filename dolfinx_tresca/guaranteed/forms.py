@@ -17,8 +17,13 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca.dual.accuracy import with_gradient
-from dolfinx_tresca.guaranteed.cells import mean_products, opposite, symmetric_basis
-from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells, require
+from dolfinx_tresca.guaranteed.cells import (
+    OwnedCells,
+    mean_products,
+    opposite,
+    require,
+    symmetric_basis,
+)
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Variation of a stiffness inside a cell, and energy of a rotation, relative to the stiffness, that

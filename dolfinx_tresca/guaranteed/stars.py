@@ -7,12 +7,11 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange
-from dolfinx_tresca.guaranteed.cells import Simplices, mean_products, opposite, rigid_motions
-from dolfinx_tresca.guaranteed.mesh_cells import OwnedCells
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
+from dolfinx_tresca.guaranteed.cells import OwnedCells, mean_products, opposite, rigid_motions
 
 #: Stiffness, relative to that of a cell, that is added so that no star is loose. Equations of stars
 #: are solved up to this number.
@@ -23,127 +22,122 @@ class Stars:
     """The stars of vertices: for each vertex the cells around it.
 
     A star balances the forces that are missing at its vertex, cell by cell in force and moment, by
-    tractions on the facets at the vertex (docs/theory/guaranteed.md).
+    tractions on the facets at the vertex (docs/theory/guaranteed.md). The stiffness of a facet is
+    the sum of those of its two sides, the same in the stars of its d vertices.
 
-    Arguments and results are of the cells that this rank owns. Inside are the copies of all cells
-    around the vertices that this rank owns, and tractions as arrays (facets, d * d): vertex,
-    component. The first cell of a facet has them with the sign 1, the second with -1. A facet is in
-    the stars of its d vertices, in which it has the same stiffness.
+    Values are of the cells that this rank owns, those of facets (n, d + 1, ...) on both sides;
+    tractions on both sides are opposite. The equations of a star, with a row for each of its cells,
+    are solved by the rank that owns the vertex.
     """
 
     def __init__(self, owned: OwnedCells, stiffness: Array, free: Mask) -> None:
-        """Number the facets of the stars, and factor the equations of all stars. Collective.
+        """Factor the equations of all stars. Collective.
 
         Args:
             owned: the cells.
             stiffness: (n, d + 1, d * d, d * d) energies of tractions on each facet.
             free: (n, d + 1, d) whether the traction on a facet is unknown along an axis.
         """
-        mesh, d, self._size = owned.V.mesh, owned.cells.d, len(free)
-        self._comm = mesh.comm
-        starts = mesh.comm.allgather(mesh.topology.index_map(0).local_range[0])
-        owner = np.searchsorted(starts, owned.vertices, side="right") - 1
-        # a copy of each cell for each rank that owns vertices of it
-        ranks = np.sort(owner, axis=1)
-        row, column = np.nonzero(np.diff(ranks, axis=1, prepend=-1))
-        ranks = ranks[row, column]
-        order = np.argsort(ranks, kind="stable")  # the order in which `exchange` sends
-        self._copied_cells, self._ranks = row[order], ranks[order]
-        _, self._ranks_of_copies = exchange(mesh.comm, self._copied_cells, self._ranks)
-        numbers = mesh.topology.index_map(d - 1).local_to_global(owned.facets.ravel())
-        data = owned.cells.points, owner, numbers.reshape(owned.facets.shape), stiffness, free
-        points, owner, numbers, stiffness, free = map(self._copies, data)
-        self._cells = Simplices(points)
-
-        _, uses, facets = np.unique(numbers, return_index=True, return_inverse=True)
-        facets = facets.reshape(numbers.shape)
-        signs = np.full(numbers.shape, -1.0)
-        signs.flat[uses] = 1.0
-        shape = numbers.size, len(uses)
-        self._signs = csr_array((signs.ravel(), facets.ravel(), np.arange(shape[0] + 1)), shape)
-        self._softness = self._softnesses(stiffness, free)
-        cell, facet = np.divmod(uses, d + 1)
-        vertices = cell[:, None], opposite(d)[facet]
-        self._on_this_rank = (owner == mesh.comm.rank)[vertices]  # the stars of a facet's vertices
-        # work of tractions on the rigid motions about each vertex: the same for both cells
-        arms = points[vertices][:, None] - points[vertices][:, :, None]
+        cells, mesh, d = owned.cells, owned.V.mesh, owned.cells.d
+        self._owned, self._comm = owned, mesh.comm
+        self._index_map = mesh.topology.index_map(d - 1)
+        count = self._index_map.size_local + self._index_map.num_ghosts
+        places = owned.facets.ravel(), np.arange(owned.facets.size)
+        shape = count, owned.facets.size
+        self._facet_sides = csr_array((np.ones(owned.facets.size), places), shape)
+        self._sides = self._sums(np.ones((*owned.facets.shape, 1)))
+        sums = self._sums(stiffness)
+        unknown = np.tile(free, d).astype(np.float64)
+        unknown = unknown[..., None] * unknown[..., None, :]
+        diagonal = np.trace(sums, axis1=2, axis2=3)[..., None, None] * np.eye(d * d)
+        self._softness = unknown * np.linalg.inv(unknown * sums + (1.0 - unknown) * diagonal)
+        # work of tractions on the rigid motions about each vertex of a facet: equal on both sides
+        points = cells.points[:, opposite(d)]
+        arms = points[:, :, None] - points[:, :, :, None]
         work = mean_products(d, 2) @ rigid_motions(arms)
-        work *= self._cells.areas[cell, facet, None, None, None, None]
-        self._work = work.reshape(*arms.shape[:2], -1, d * d)
+        work *= cells.areas[..., None, None, None, None]
+        self._work = work.reshape(*arms.shape[:3], -1, d * d)
 
-        self._cell, self._corner = np.nonzero(owner == mesh.comm.rank)
-        sides, corner = opposite(d)[self._corner], self._corner[:, None]
-        places = self._cell[:, None], sides
-        unknown = d * facets[places] + corner - (corner > sides)
-        starts = np.arange(0, unknown.size + 1, d)
-        values = signs[places].ravel(), unknown.ravel(), starts
-        self._incidence = csr_array(values, (len(corner), d * shape[1]))
-        with errors_on_all_ranks(mesh.comm):
-            self._factor = self._factored()
+        starts = mesh.comm.allgather(mesh.topology.index_map(0).local_range[0])
+        self._owner = np.searchsorted(starts, owned.vertices.ravel(), side="right") - 1
+        self._factor = self._factored()
 
-    def _softnesses(self, stiffness: Array, free: Mask) -> Array:
-        """Return the inverse stiffnesses (facets, d * d, d * d) of tractions that are free."""
-        sums = abs(self._signs).T @ stiffness.reshape(self._signs.shape[0], -1)
-        sums = sums.reshape(-1, *stiffness.shape[2:])
-        loose = abs(self._signs).T @ free.reshape(self._signs.shape[0], -1) > 0.0
-        unknown = np.tile(loose, free.shape[2]).astype(np.float64)
-        unknown = unknown[:, :, None] * unknown[:, None]
-        diagonal = np.trace(sums, axis1=1, axis2=2)[:, None, None] * np.eye(sums.shape[1])
-        return np.asarray(unknown * np.linalg.inv(unknown * sums + (1.0 - unknown) * diagonal))
+    def _sums(self, values: Array) -> Array:
+        """Return the sums over both sides of facets of values (n, d + 1, ...). Collective."""
+        facets = self._owned.facets
+        sums = self._facet_sides @ values.reshape(facets.size, -1)
+        if self._comm.size > 1:
+            sums = summed_at_nodes(self._index_map, np.arange(len(sums)), sums)
+        return np.asarray(sums[facets].reshape(values.shape))
 
     def _factored(self) -> PETSc.PC:
-        """Return the factors of the equations of all stars: a graph's, with blocks as weights."""
-        weights = self._work @ self._softness[:, None] @ np.swapaxes(self._work, 2, 3)
+        """Return the factors of the equations of the stars of this rank's vertices. Collective.
+
+        They are those of graphs: cells are the nodes, facets the edges, with blocks as weights.
+        """
+        sides, (n, corners) = opposite(self._owned.cells.d), self._owned.facets.shape
+        weights = self._work @ self._softness[:, :, None] @ np.swapaxes(self._work, 3, 4)
         size = weights.shape[-1]
-        weights = weights.reshape(-1, size, size)
-        entries = abs(self._incidence) @ np.einsum("nii->ni", weights)
-        loose = np.where(entries > 0.0, LOOSE * entries, 1.0)[:, :, None] * np.eye(size)
-        rows = np.arange(len(loose) + 1)
-        signs = self._incidence.data[:, None, None]
-        facets, starts = self._incidence.indices, self._incidence.indptr
-        weighted = bsr_array((signs * weights[facets], facets, starts))
-        incidence = bsr_array((signs * np.eye(size), facets, starts))
-        blocks = weighted @ incidence.T + bsr_array((loose, rows[:-1], rows))
-        blocks.sort_indices()
-        pattern = (array.astype(PETSc.IntType) for array in (blocks.indptr, blocks.indices))
-        csr = (*pattern, blocks.data.ravel())
-        matrix = PETSc.Mat().createBAIJ(blocks.shape, size, csr=csr, comm=PETSc.COMM_SELF)
+        blocks = np.zeros((n, corners, size, size))
+        for facet, vertices in enumerate(sides):
+            blocks[:, vertices] += weights[:, facet]
+        entries = np.einsum("ncii->nci", blocks)
+        loose = np.where(entries > 0.0, LOOSE * entries, 1.0)
+        blocks += loose[..., None] * np.eye(size)
+
+        # the rows at the owners of the vertices, of cells and of their neighbours across facets
+        received, self._senders = exchange(self._comm, self._owner, self._owner)
+        count = len(received)
+        numbers = self._returned(np.arange(count)).reshape(n, corners)
+        near = numbers[:, sides]
+        across = np.rint(self._sums(near.astype(np.float64))).astype(np.intp) - near
+        inside = np.broadcast_to(self._sides == 2.0, near.shape)
+        rows = np.concatenate([numbers.ravel(), near[inside]])
+        columns = np.concatenate([numbers.ravel(), across[inside]])
+        values = np.concatenate([blocks.reshape(-1, size, size), -weights[inside]])
+        at_facets = self._owner.reshape(n, corners)[:, sides]
+        owners = np.concatenate([self._owner, at_facets[inside]])
+        rows, columns, values = (
+            exchange(self._comm, array, owners)[0] for array in (rows, columns, values)
+        )
+        order = csr_array((np.arange(len(rows)), (rows, columns)), (count, count))
+        order.sort_indices()
+        pattern = (array.astype(PETSc.IntType) for array in (order.indptr, order.indices))
+        csr = (*pattern, values[order.data].ravel())
+        shape = count * size, count * size
+        matrix = PETSc.Mat().createBAIJ(shape, size, csr=csr, comm=PETSc.COMM_SELF)
         factor = PETSc.PC().create(PETSc.COMM_SELF)
         factor.setType("lu")  # in blocks faster than "cholesky"
         factor.setFactorSolverType("petsc")
         factor.setFactorOrdering("rcm")
         factor.setOperators(matrix)
-        factor.setUp()
+        with errors_on_all_ranks(self._comm):
+            factor.setUp()
         return factor
 
-    def _copies(self, values: Any) -> Any:
-        """Return the rows of all copies of cells on this rank. Collective."""
-        copied = np.ascontiguousarray(values[self._copied_cells])
-        return exchange(self._comm, copied, self._ranks)[0]
-
-    def _on_cells(self, tractions: Array) -> Array:
-        """Return tractions (n, d + 1, d, d) on the owned cells. Collective.
-
-        They are the sums of the contributions (facets, d * d) of all ranks, with each cell's sign.
-        """
-        d = self._cells.d
-        on_copies = (self._signs @ tractions).reshape(-1, d + 1, d, d)
-        returned, _ = exchange(self._comm, on_copies, self._ranks_of_copies)
-        result = np.zeros((self._size, *returned.shape[1:]))
-        np.add.at(result, self._copied_cells, returned)
+    def _returned(self, rows: Any) -> Any:
+        """Return rows of stars to the cells (n (d + 1), ...) that they are of. Collective."""
+        back, _ = exchange(self._comm, rows, self._senders)
+        if self._comm.size == 1:
+            return back
+        result = np.empty_like(back)
+        result[np.argsort(self._owner, kind="stable")] = back
         return result
 
     def _balancing(self, missing: Array) -> Array:
-        """Return the least tractions with the forces and moments (rows, r), of all stars."""
-        supports = np.zeros_like(missing)
+        """Return the least tractions with the forces and moments (n, d + 1, r), of all stars."""
+        size = missing.shape[-1]
+        rows, _ = exchange(self._comm, missing.reshape(-1, size), self._owner)
+        supports = np.zeros_like(rows)
         right, result = (
             PETSc.Vec().createWithArray(array.ravel(), comm=PETSc.COMM_SELF)
-            for array in (np.ascontiguousarray(missing), supports)
+            for array in (np.ascontiguousarray(rows), supports)
         )
         self._factor.apply(right, result)
-        differences = (self._incidence.T @ supports).reshape(*self._work.shape[:3])
-        forces = (differences[:, :, None] @ self._work).sum(axis=1)
-        return np.asarray((forces @ self._softness)[:, 0])
+        near = self._returned(supports).reshape(missing.shape)
+        near = near[:, opposite(self._owned.cells.d)]
+        forces = ((2.0 * near - self._sums(near))[..., None, :] @ self._work).sum(axis=2)
+        return np.asarray((forces @ self._softness)[:, :, 0])
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return tractions without resultants that decrease a quadratic function. Collective.
@@ -154,11 +148,15 @@ class Stars:
         Args:
             gradient: (n, d + 1, d, d) minus its derivative by the tractions on the cells.
         """
-        forces = self._signs.T @ self._copies(gradient).reshape(self._signs.shape[0], -1)
-        tractions = (self._softness @ forces[:, :, None])[:, :, 0]
-        resultants = (self._work @ tractions[:, None, :, None]).reshape(-1, self._work.shape[2])
-        stars = self._on_this_rank.sum(axis=1, keepdims=True)
-        return self._on_cells(stars * tractions - self._balancing(self._incidence @ resultants))
+        n, corners, d, _ = gradient.shape
+        forces = (2.0 * gradient - self._sums(gradient)).reshape(n, corners, d * d, 1)
+        tractions = self._softness @ forces
+        resultants = (self._work @ tractions[:, :, None])[..., 0]
+        total = np.zeros((n, corners, resultants.shape[-1]))
+        for facet, vertices in enumerate(opposite(d)):
+            total[:, vertices] += resultants[:, facet]
+        tractions = d * tractions[..., 0] - self._balancing(total)
+        return np.asarray(tractions.reshape(gradient.shape))
 
     def equilibrated(self, traction: Array, force: Array) -> Array:
         """Return tractions (n, d + 1, d, d) in equilibrium. Collective.
@@ -172,13 +170,9 @@ class Stars:
             force: (n, d + 1, d) forces at the vertices of cells, which the tractions are to
                 balance. Their sums around vertices are those of the given tractions.
         """
-        d = self._cells.d
-        means = self._signs.T @ self._copies(traction).reshape(self._signs.shape[0], -1)
-        means /= abs(self._signs).sum(axis=0)[:, None]
-        on_copies = (self._signs @ means).reshape(-1, d + 1, d, d)
-        missing = self._copies(force) - self._cells.facet_forces(on_copies)
+        d = self._owned.cells.d
+        means = (2.0 * traction - self._sums(traction)) / self._sides[..., None]
+        missing = force - self._owned.cells.facet_forces(means)
         # a force at the vertex itself has no moment about it
-        missing = np.pad(missing[self._cell, self._corner], ((0, 0), (0, d * (d - 1) // 2)))
-        # the traction at a vertex counts on the rank that owns the vertex
-        means *= np.repeat(self._on_this_rank, d, axis=1)
-        return self._on_cells(means + self._balancing(missing))
+        missing = np.pad(missing, ((0, 0), (0, 0), (0, d * (d - 1) // 2)))
+        return means + self._balancing(missing).reshape(means.shape)

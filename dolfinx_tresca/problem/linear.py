@@ -23,8 +23,15 @@ from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.guaranteed.bound import GAIN, Bodies, Candidate, GuaranteedError
-from dolfinx_tresca.guaranteed.goal import Functional, GuaranteedGoal, guaranteed_goal
+from dolfinx_tresca.guaranteed.bound import (
+    GAIN,
+    Bodies,
+    Candidate,
+    Functional,
+    GuaranteedError,
+    GuaranteedGoal,
+    guaranteed_goal,
+)
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
