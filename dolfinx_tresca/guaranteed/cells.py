@@ -25,10 +25,12 @@ from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function. Their proof is in docs/theory/guaranteed.md, and
-#: tests/guaranteed/test_constants.py computes them.
-POINCARE = {2: 0.540, 3: 0.814}
-TRACE = {2: 1.522, 3: 4.837}
+#: nearest linear function; and the latter for the quadratic part of w on F, its projection onto
+#: quadratic functions that are orthogonal to linear ones. Their proof is in
+#: docs/theory/guaranteed.md, and tests/guaranteed/test_constants.py computes them.
+POINCARE = {2: 0.540, 3: 0.768}
+TRACE = {2: 1.522, 3: 4.473}
+QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 
 
 def mean_products(corners: int, factors: int) -> Array:
@@ -50,11 +52,21 @@ def mean_products(corners: int, factors: int) -> Array:
     return result
 
 
+def basis_nodes(corners: int, degree: int) -> Array:
+    """Return the barycentric coordinates (k, corners) of the nodes of Lagrange's basis.
+
+    The nodes are the vertices, and for degree 2 the midpoints of the edges in the order of
+    `combinations`.
+    """
+    unit = np.eye(corners)
+    i, j = np.triu_indices(corners, 1)
+    return unit if degree == 1 else np.vstack([unit, 0.5 * (unit[i] + unit[j])])
+
+
 def basis_products(corners: int, degree: int) -> Array:
     """Return matrices A_k (k, corners, corners) of Lagrange's basis of degree 1 or 2.
 
-    The basis function k is the sum of A_k[i, j] lambda_i lambda_j. Its nodes are the vertices, and
-    for degree 2 the midpoints of the edges in the order of `combinations`.
+    The basis function k, of the node k of `basis_nodes`, is the sum of A_k[i, j] lambda_i lambda_j.
     """
     unit = np.eye(corners)
     linear = 0.5 * (unit[:, :, None] + unit[:, None])
@@ -64,6 +76,14 @@ def basis_products(corners: int, degree: int) -> Array:
     edges = unit[i][:, :, None] * unit[j][:, None]
     vertices = 2.0 * unit[:, :, None] * unit[:, None] - linear
     return np.concatenate([vertices, 2.0 * (edges + np.swapaxes(edges, 1, 2))])
+
+
+@cache
+def basis_means(corners: int, degree: int) -> Array:
+    """Return the means (k, k) over a simplex of products of two of Lagrange's basis functions."""
+    basis = basis_products(corners, degree)
+    means = mean_products(corners, 4)
+    return np.asarray(np.einsum("pab,qcd,abcd->pq", basis, basis, means, optimize=True))
 
 
 def opposite(d: int) -> Indices:
@@ -207,9 +227,8 @@ def stress_products(d: int) -> Array:
     nsym = len(basis)
     nodal = basis_products(n, 2)
     size = len(nodal)
-    # barycentric coordinates of the nodes
-    places = np.vstack([np.eye(n), 0.5 * (np.eye(n)[:, None] + np.eye(n))[np.triu_indices(n, 1)]])
-    mass = np.einsum("pab,qcd,abcd->pq", nodal, nodal, mean_products(n, 4), optimize=True) / n
+    places = basis_nodes(n, 2)
+    mass = basis_means(n, 2) / n
 
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean; vertex i
     # of subcell i is the centroid
@@ -322,11 +341,11 @@ class OwnedCells:
     Attributes:
         V: the space of the displacement.
         cells: the cells.
-        order: (n, d + 1) numbers of the vertices in DOLFINx's cells.
+        order: (n, k) numbers of the vertices in DOLFINx's cells, then of the middles of the edges
+            in the order of `basis_nodes`.
         vertices: (n, d + 1) global numbers of the vertices.
         facets: (n, d + 1) numbers on this rank of the facets.
-        nodes: (n, k) nodes of the displacement on this rank: at the vertices, and for degree 2 in
-            the middles of the edges, in the order of `basis_products`.
+        nodes: (n, k) nodes of the displacement on this rank, in the order of `order`.
     """
 
     V: Any
@@ -344,10 +363,8 @@ class OwnedCells:
     @cached_property
     def on_facets(self) -> Indices:
         """(d + 1, k) positions in `nodes` of the nodes on each facet, vertices before edges."""
-        facets = opposite(self.cells.d)
-        return np.array(
-            [np.flatnonzero(self.basis[:, ends][:, :, ends].any(axis=(1, 2))) for ends in facets]
-        )
+        places = basis_nodes(self.cells.d + 1, self.V.element.basix_element.degree)
+        return np.array([np.flatnonzero(place == 0.0) for place in places.T])
 
     def nodal_forces(self, load: Array, traction: Array) -> Array:
         """Return the forces (nodes, d) of linear loads and tractions. Collective.
@@ -386,7 +403,7 @@ class OwnedCells:
         return cls(
             V=V,
             cells=Simplices(np.take_along_axis(points, order[:, :, None], axis=1)),
-            order=order,
+            order=own,
             vertices=np.take_along_axis(numbers, order, axis=1),
             facets=np.take_along_axis(facets, order, axis=1),
             nodes=np.take_along_axis(nodes, own[:, : nodes.shape[1]], axis=1),

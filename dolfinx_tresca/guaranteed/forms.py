@@ -18,8 +18,11 @@ from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca.dual.accuracy import with_gradient
 from dolfinx_tresca.guaranteed.cells import (
+    QUADRATIC_TRACE,
+    TRACE,
     OwnedCells,
-    mean_products,
+    basis_means,
+    basis_nodes,
     opposite,
     require,
     symmetric_basis,
@@ -112,7 +115,8 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
     """Return the loads of a linear form. Collective.
 
     Projections have the degree that UFL estimates, and are exact for polynomials; distances from
-    them are exact for polynomials of degree up to 5, see `SQUARES`.
+    them are exact for polynomials of degree up to 5, see `SQUARES`. The distance of a traction has
+    a quadratic part, with a smaller factor, and the rest, the distance from quadratic functions.
 
     Args:
         L: the form.
@@ -129,14 +133,9 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
     result = Loads(np.zeros((n, corners, d)), np.zeros((n, corners, d, d)), np.zeros(n))
     if L is None:
         return result
-    constant, linear = fem.functionspace(mesh, ("DG", 0)), fem.functionspace(mesh, ("DG", 1, (d,)))
-    weight, moments = ufl.TestFunction(constant), ufl.TestFunction(linear)
-    projection, normal = (
-        fem.Function(linear),
-        fem.Function(fem.functionspace(mesh, ("DG", 0, (d,)))),
-    )
-    dofs = np.take_along_axis(linear.dofmap.list[:n], owned.order, axis=1)
-    cell_dofs = constant.dofmap.list[:n, 0]
+    constant = fem.functionspace(mesh, ("DG", 0))
+    weight, cell_dofs = ufl.TestFunction(constant), constant.dofmap.list[:n, 0]
+    normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     off = ufl.FacetNormal(mesh) - normal
     on_facet = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
     (argument,) = L.arguments()
@@ -150,10 +149,18 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
     )
     for integral in L.integrals():
         kind, integrand = integral.integral_type(), integral.integrand()
-        indicator = 1.0 if kind == "cell" else on_facet
+        indicator, degree, angle = 1.0, 1, 0.0
+        places = [(range(corners), cells.volumes, result.load)]
+        if kind != "cell":
+            # between a displacement and its quadratic part, if both are the largest
+            indicator, degree, angle = on_facet, 2, np.arccos(QUADRATIC_TRACE[d] / TRACE[d])
+            places = [*zip(opposite(d), cells.areas.T, result.traction.swapaxes(0, 1), strict=True)]
+        space, nodes = fem.functionspace(mesh, ("DG", degree, (d,))), basis_nodes(corners, degree)
+        nearest, test = fem.Function(space), ufl.TestFunction(space)
+        dofs = np.take_along_axis(space.dofmap.list[:n], owned.order[:, : len(nodes)], axis=1)
         axes = [ufl.replace(integrand, {argument: ufl.as_vector(axis)}) for axis in np.eye(d)]
-        square = sum((load - projection[i]) ** 2 for i, load in enumerate(axes))
-        integrands = ufl.replace(integrand, {argument: moments}), square * weight
+        square = sum((load - nearest[i]) ** 2 for i, load in enumerate(axes))
+        integrands = ufl.replace(integrand, {argument: test}), square * weight
         forces, squares = (
             fem.form(
                 ufl.Form([integral.reconstruct(indicator * values, metadata=metadata)]),
@@ -161,17 +168,20 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
             )
             for values, metadata in zip(integrands, ({}, SQUARES), strict=True)
         )
-        places = [(range(corners), cells.volumes, result.load)]
-        if kind != "cell":
-            tractions = np.moveaxis(result.traction, 1, 0)
-            places = [*zip(opposite(d), cells.areas.T, tractions, strict=True)]
         for j, (vertices, sizes, load) in enumerate(places):
             normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, j]
-            values = fem.assemble_vector(forces).array.reshape(-1, d)[dofs[:, vertices]]
-            values = np.linalg.inv(mean_products(len(vertices), 2)) @ values / sizes[:, None, None]
-            projection.x.array[:] = 0.0
-            projection.x.array.reshape(-1, d)[dofs[:, vertices]] = values
-            norms = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
-            load += values
+            mass, linear = basis_means(len(vertices), degree), basis_nodes(len(vertices), degree)
+            basis_dofs = dofs[:, nodes[:, vertices].sum(axis=1) == 1.0]
+            moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
+            values = np.linalg.solve(mass, moments) / sizes[:, None, None]
+            nearest.x.array[:] = 0.0
+            nearest.x.array.reshape(-1, d)[basis_dofs] = values
+            farther = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
+            projection = np.linalg.solve(linear.T @ mass @ linear, linear.T @ mass @ values)
+            values -= linear @ projection
+            quadratic = np.sqrt(sizes * (values * (mass @ values)).sum(axis=(1, 2)))
+            norms = np.hypot(quadratic, farther)
+            norms *= np.cos(np.maximum(angle - np.arctan2(farther, quadratic), 0.0))
+            load += projection
             result.oscillation[:] += factors[:, 0 if kind == "cell" else 1 + j] * norms
     return result

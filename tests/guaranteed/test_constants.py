@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import itertools
+from functools import cached_property
 
 import numpy as np
 import pytest
 
 from dolfinx_tresca.guaranteed.cells import (
     POINCARE,
+    QUADRATIC_TRACE,
     TRACE,
     Simplices,
     StressEnergies,
+    basis_means,
+    basis_nodes,
+    basis_products,
     mean_products,
     opposite,
     rigid_motions,
@@ -64,8 +69,9 @@ class DividedSimplex:
         self.size = len(keys) * d * d
         self.inside = np.flatnonzero(np.bincount(facets.ravel()) == 2)
 
+    @cached_property
     def matrices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the energy of tractions and loads, and the forces and moments of all cells."""
+        """The energy of tractions and loads, and the forces and moments of all cells."""
         n, d = len(self.cells.points), self.cells.d
         total = self.size + n * (d + 1) * d
         data = np.zeros((total, n, self.count + d + 1, d))
@@ -89,61 +95,113 @@ class DividedSimplex:
         balance = np.einsum("nrkd,xnkd->nrx", motions, forces, optimize=True)
         return derivatives @ data.reshape(total, -1).T, balance.reshape(-1, total)
 
-    def least_energy(self, side: int | None) -> float:
+    @cached_property
+    def whole(self) -> Simplices:
+        """The reference simplex."""
+        d = self.cells.d
+        return Simplices(np.vstack([np.zeros(d), np.cumsum(np.eye(d), axis=0)])[None])
+
+    def facets(self, side: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the facets on a side of the whole, and the numbers of their tractions."""
+        d = self.cells.d
+        whole = self.whole
+        offsets = self.facet_points - whole.points[0, side]
+        heights = offsets @ whole.gradients[0, side] + 1.0
+        (facets,) = np.nonzero(np.abs(heights).max(axis=1) < 1e-9)
+        assert len(facets) == self.k ** (d - 1)
+        return facets, (facets[:, None] * d * d + np.arange(d * d)).ravel()
+
+    def linear_loads(self, side: int | None) -> float:
         """Return the largest norm of the least stresses for loads of norm 1.
 
         The loads are linear in each part, or tractions that are linear on the parts of facet
         `side`, and orthogonal to linear functions on the whole.
         """
-        d, energy, balance = self.cells.d, *self.matrices()
+        d = self.cells.d
         if side is None:
-            given = np.arange(self.size, len(energy))
+            given = np.arange(self.size, len(self.matrices[0]))
             block = self.cells.volumes[0] * np.kron(mean_products(d + 1, 2), np.eye(d))
             points = self.cells.points
         else:
-            corners = np.vstack([np.zeros(d), np.cumsum(np.eye(d), axis=0)])
-            whole = Simplices(corners[None])
-            heights = (self.facet_points - corners[side]) @ whole.gradients[0, side] + 1.0
-            (facets,) = np.nonzero(np.abs(heights).max(axis=1) < 1e-9)
-            assert len(facets) == self.k ** (d - 1)
-            given = (facets[:, None] * d * d + np.arange(d * d)).ravel()
-            area = whole.areas[0, side] / len(facets)
+            facets, given = self.facets(side)
+            area = self.whole.areas[0, side] / len(facets)
             block = area * np.kron(mean_products(d, 2), np.eye(d))
             points = self.facet_points[facets]
-        free = (self.inside[:, None] * d * d + np.arange(d * d)).ravel()
         root = np.linalg.inv(np.linalg.cholesky(block)).T
         root = np.kron(np.eye(len(given) // len(root)), root)
         # loads that are orthogonal to linear functions, orthonormal
         monomials = np.insert(points.reshape(-1, d), 0, 1.0, axis=1)
         linear = np.kron(monomials.T, np.eye(d)) @ np.linalg.inv(root.T)
         _, values, right = np.linalg.svd(linear)
-        loads = root @ right[(values > 1e-9).sum() :].T
-        # the least energy by the optimality conditions
-        nothing = np.zeros((len(balance), len(balance)))
-        matrix = np.block(
-            [[energy[np.ix_(free, free)], balance[:, free].T], [balance[:, free], nothing]]
-        )
+        return self.largest_norm(given, root @ right[(values > 1e-9).sum() :].T)
+
+    def quadratic_loads(self, side: int) -> float:
+        """Return the largest norm of the least stresses for quadratic tractions of norm 1.
+
+        They are orthogonal to linear functions on facet `side`. The stresses balance their
+        projections onto functions that are linear on its parts.
+        """
+        d, whole = self.cells.d, self.whole
+        facets, given = self.facets(side)
+        mass, linear = basis_means(d, 2), basis_nodes(d, 2)
+        _, _, right = np.linalg.svd(linear.T @ mass)
+        loads = right[d:].T
+        norms = whole.areas[0, side] * loads.T @ mass @ loads
+        loads = loads @ np.linalg.inv(np.linalg.cholesky(norms)).T  # values at nodes, orthonormal
+        offsets = self.facet_points[facets] - whole.points[0, side]
+        places = np.delete(offsets @ whole.gradients[0].T, side, axis=2)  # barycentric coordinates
+        nodes = linear @ places
+        values = np.einsum("kab,fna,fnb->fnk", basis_products(d, 2), nodes, nodes) @ loads
+        linear_parts = np.linalg.solve(linear.T @ mass @ linear, linear.T @ mass @ values)
+        # what is not balanced is quadratic on each part, and as large on all of them
+        lacking = values - linear @ linear_parts
+        lacking = np.swapaxes(lacking, 1, 2) @ mass @ lacking * whole.areas[0, side] / len(facets)
+        assert np.allclose(lacking * len(facets), np.eye(len(lacking[0])) / self.k**4)
+        loads = np.kron(linear_parts.reshape(-1, loads.shape[1]), np.eye(d))
+        return self.largest_norm(given, loads)
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """The inverse of the optimality conditions of stresses of the least energy."""
+        energy, balance = self.matrices
+        free, nothing = self.free, np.zeros((len(balance), len(balance)))
+        matrix = [[energy[np.ix_(free, free)], balance[:, free].T], [balance[:, free], nothing]]
+        return np.linalg.pinv(np.block(matrix), 1e-11, hermitian=True)
+
+    @property
+    def free(self) -> np.ndarray:
+        """The numbers of the tractions inside the simplex."""
+        return (self.inside[:, None] * self.cells.d**2 + np.arange(self.cells.d**2)).ravel()
+
+    def largest_norm(self, given: np.ndarray, loads: np.ndarray) -> float:
+        """Return the largest norm of the least stresses for combinations of loads of norm 1."""
+        (energy, balance), free = self.matrices, self.free
         right = -np.vstack([energy[np.ix_(free, given)], balance[:, given]]) @ loads
         answer = np.zeros((len(energy), loads.shape[1]))
         answer[given] = loads
-        answer[free] = (np.linalg.pinv(matrix, 1e-11) @ right)[: len(free)]
+        answer[free] = (self.inverse @ right)[: len(free)]
         assert np.allclose(balance @ answer, 0.0, atol=1e-9)
         return float(np.sqrt(np.linalg.eigvalsh(answer.T @ energy @ answer)[-1]))
 
 
-@pytest.mark.parametrize(("d", "k"), [(2, 8), (3, 3)])
+@pytest.mark.parametrize(("d", "k"), [(2, 8), (3, 4)])
 def test_constants_of_the_reference_simplex(d, k):
     """As proved in docs/theory/guaranteed.md, from the simplex in parts that are like the whole."""
     simplex = DividedSimplex(d, k)
-    constant = simplex.least_energy(None) / np.sqrt(1.0 - 1.0 / k**2)
+    areas = simplex.whole.areas[0]
+    constant = simplex.linear_loads(None) / np.sqrt(1.0 - 1.0 / k**2)
     assert POINCARE[d] == pytest.approx(constant, abs=1e-3)
     assert constant <= POINCARE[d]
-    squares = np.array([simplex.least_energy(side) ** 2 for side in range(d + 1)])
+    squares = np.array([simplex.linear_loads(side) ** 2 for side in range(d + 1)])
     squares += squares.max() / (1.0 - 1.0 / k) / k
-    corners = np.vstack([np.zeros(d), np.cumsum(np.eye(d), axis=0)])
-    constant = np.sqrt((squares / Simplices(corners[None]).areas[0]).max())
+    constant = np.sqrt((squares / areas).max())
     assert TRACE[d] == pytest.approx(constant, abs=1e-3)
     assert constant <= TRACE[d]
+    norms = np.array([simplex.quadratic_loads(side) for side in range(d + 1)])
+    norms += norms.max() / (1.0 - k**-2.5) * k**-2.5
+    constant = (norms / np.sqrt(areas)).max()
+    assert QUADRATIC_TRACE[d] == pytest.approx(constant, abs=1e-3)
+    assert constant <= QUADRATIC_TRACE[d]
 
 
 def polynomials(points: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
@@ -202,10 +260,15 @@ def test_constants_exceed_the_ratios_of_polynomials(shape):
     size, vectors = np.linalg.eigh(form(strain, weights))
     vectors = vectors[:, size > 1e-9 * size.max()] / np.sqrt(size[size > 1e-9 * size.max()])
 
+    def nearest(
+        values: np.ndarray, points: np.ndarray, weights: np.ndarray, degree: int
+    ) -> np.ndarray:
+        monomials, roots = polynomials(points, degree)[0].T, np.sqrt(weights)[:, None]
+        monomials = np.insert(monomials, 0, 1.0, axis=1)
+        return (monomials @ np.linalg.lstsq(roots * monomials, roots * values.T, rcond=None)[0]).T
+
     def ratio(values: np.ndarray, points: np.ndarray, weights: np.ndarray) -> float:
-        monomials, roots = np.insert(points, 0, 1.0, axis=1), np.sqrt(weights)[:, None]
-        nearest = np.linalg.lstsq(roots * monomials, roots * values.T, rcond=None)[0]
-        values = values - (monomials @ nearest).T
+        values = values - nearest(values, points, weights, 1)
         values = np.einsum("ij,kq->kiqj", np.eye(d), values).reshape(-1, len(weights), d)
         return float(np.sqrt(np.linalg.eigvalsh(vectors.T @ form(values, weights) @ vectors)[-1]))
 
@@ -217,6 +280,8 @@ def test_constants_exceed_the_ratios_of_polynomials(shape):
         on_facet, its_weights = rule(np.delete(corners, j, axis=0))
         there, _ = polynomials(on_facet, degree)
         assert ratio(there, on_facet, its_weights) <= cell.trace_factors[0, j]
+        quadratic = ratio(nearest(there, on_facet, its_weights, 2), on_facet, its_weights)
+        assert quadratic <= cell.trace_factors[0, j] * QUADRATIC_TRACE[d] / TRACE[d]
 
 
 @pytest.mark.parametrize("d", [2, 3])
