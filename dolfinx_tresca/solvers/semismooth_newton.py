@@ -18,10 +18,11 @@ from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 RHO_DIAGONAL = 0.2
 
 #: Limits on the number of halvings of a step that does not reduce the residual. A step of a body
-#: that hardly anything holds is too long by orders of magnitude: with 6 halvings a wall of 2,046
-#: bricks takes seven times the time. From softer starts there are fewer, since steps that increase
-#: the residual lead away from points at which the method fails: with 8 or more, pile 28
-#: (`tests/validation/test_random_piles.py`) is not solved.
+#: that hardly anything holds is too long by orders of magnitude: with 6 halvings, and other guesses
+#: after each run that misses its tolerance, a wall of 2,046 bricks takes six times the time. From
+#: softer starts there are fewer, since steps that increase the residual lead away from points at
+#: which the method fails: with 8 or more, pile 28 (`tests/validation/test_random_piles.py`) is not
+#: solved.
 MOST_HALVINGS, FEWER_HALVINGS = 14, 6
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
