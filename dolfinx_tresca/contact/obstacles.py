@@ -46,14 +46,15 @@ class Obstacles:
         self._V, self._pairs = V, pairs
         self._obstacles = [pair.obstacle for pair in pairs]
         self._at_pairing: list[Array] = []
-        self._of_bodies = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
+        # motions of bolts; the entries of obstacles are not read
+        self._of_bolts = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
         largest = np.abs(V.mesh.geometry.x).max(initial=0.0)
         self.extent = float(reduce_array(V.mesh.comm, largest, MPI.MAX))
 
     @property
     def motions(self) -> Array:
         """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle or bolt; else identity."""
-        motions = self._of_bodies.copy()
+        motions = self._of_bolts.copy()
         for number, obstacle in enumerate(self._obstacles):
             if obstacle is not None:
                 motions[number] = obstacle.motion.matrix
@@ -66,7 +67,7 @@ class Obstacles:
             motions: (pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle or bolt.
             only_held_by_forces: whether other obstacles stay where the user has moved them.
         """
-        self._of_bodies = motions.copy()
+        self._of_bolts = motions.copy()
         for obstacle, matrix in zip(self._obstacles, motions, strict=True):
             if obstacle is not None and (obstacle.given_forces or not only_held_by_forces):
                 obstacle.motion = RigidMotion.from_matrix(matrix)

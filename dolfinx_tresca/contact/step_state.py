@@ -567,8 +567,9 @@ def surroundings(V: Any) -> Array:
     points = V.tabulate_dof_coordinates()[:, :dim]
     nodes, own = V.dofmap.list[:cells], V.dofmap.index_map.size_local
     middles = np.column_stack([points[nodes].mean(axis=1), np.ones(cells)])
-    at_corners = np.repeat(middles[:, None], nodes.shape[1], axis=1)
-    sums = summed_at_nodes(V.dofmap.index_map, nodes, at_corners)[:own]
+    of_cells = np.repeat(middles[:, None], nodes.shape[1], axis=1)
+    # the last column counts the cells around a node, none around one that no cell has
+    sums = summed_at_nodes(V.dofmap.index_map, nodes, of_cells)[:own]
     return np.hstack([points[:own], sums[:, :-1] / np.maximum(sums[:, -1:], 1.0)])
 
 

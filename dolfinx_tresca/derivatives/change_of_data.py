@@ -425,10 +425,12 @@ class DataOfSolution:
 def inputs_of_problem(system: ContactSystem) -> list[Any]:
     """Return all Constants and Functions on which solutions depend, each once.
 
-    Values of Dirichlet conditions may be C++ objects of DOLFINx; `values_of` accepts them, too.
+    Those that users' functions of pressure or slip read are found in the functions' closures. What
+    places rigid obstacles is not among them. Values of Dirichlet conditions may be C++ objects of
+    DOLFINx; `values_of` accepts them, too.
 
     Raises:
-        InputError: `a` or `L` is no form of UFL.
+        InputError: `a` or `L` is no form of UFL (from `ufl_forms`).
     """
     inputs: list[Any] = []
     for form in system.linear.ufl_forms:

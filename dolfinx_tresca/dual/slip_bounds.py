@@ -123,20 +123,20 @@ def _vector_text(vector: Array) -> str:
 
 
 def _semi_diameters(direction: Array, shape: Array) -> Array:
-    """Return the semi-diameters (n,) of ellipses in given directions.
+    """Return the semi-diameters 1 / |(d_1 / b_1, d_2 / b_2)| (n,) of ellipses in directions d.
 
     Args:
-        direction: (n, 2) components of unit vectors along the axes of the ellipses.
-        shape: (n, 2) semi-axes, relative to the longer semi-axis.
+        direction: (n, 2) components d of unit vectors along the axes of the ellipses.
+        shape: (n, 2) semi-axes b, relative to the longer semi-axis.
     """
     nonzero = np.abs(direction) > ROUNDING
-    inverse = np.zeros_like(shape)
-    np.divide(direction, shape, out=inverse, where=nonzero & (shape > 0.0))
-    length = np.linalg.norm(inverse, axis=1)
-    length[(nonzero & (shape == 0.0)).any(axis=1)] = np.inf
+    scaled = np.zeros_like(shape)
+    np.divide(direction, shape, out=scaled, where=nonzero & (shape > 0.0))
+    reciprocals = np.linalg.norm(scaled, axis=1)
+    reciprocals[(nonzero & (shape == 0.0)).any(axis=1)] = np.inf
     # at circles, which have no axes, `direction` may be zero
-    length[shape[:, 0] == shape[:, 1]] = 1.0
-    result: Array = 1.0 / length
+    reciprocals[shape[:, 0] == shape[:, 1]] = 1.0
+    result: Array = 1.0 / reciprocals
     return result
 
 
@@ -157,17 +157,17 @@ def friction_discs(node: Indices, semi_axes: Array, count: int) -> tuple[Array, 
 
     Returns:
         the stretch (n_tangential,), the ratio of traction to unknown [1]; the radius (n,) of the
-        disc, relative to the longer semi-axis [1]; and whether a row (n_tangential,) has a zero
-        bound, while the other row of its node has a positive bound.
+        disc, relative to the longer semi-axis [1], which is 1 at nodes without rows; and whether a
+        row (n_tangential,) has a zero bound, while the other row of its node has a positive bound.
     """
     positive = semi_axes > 0.0
-    number = np.bincount(node[positive], minlength=count)
+    positive_axes = np.bincount(node[positive], minlength=count)
     logarithms = np.bincount(node[positive], np.log(semi_axes[positive]), minlength=count)
-    radius = np.exp(logarithms / np.maximum(number, 1))
-    radius[node[number[node] == 0]] = 0.0
+    radius = np.exp(logarithms / np.maximum(positive_axes, 1))  # geometric mean of positive axes
+    radius[node[positive_axes[node] == 0]] = 0.0
     stretch = np.ones_like(semi_axes)
     np.divide(semi_axes, radius[node], out=stretch, where=positive)
-    return stretch, radius, ~positive & (number[node] > 0)
+    return stretch, radius, ~positive & (positive_axes[node] > 0)
 
 
 #: Names of the terms of a bound in error messages; laws have their own name for the constant term.

@@ -4,7 +4,7 @@ A tool is an obstacle held by forces, or a cut bolt that is pulled. It is like a
 without deformation. Let it be moved by V c, with a column of V for each free motion. Then its
 contact forces balance the given forces e, and the gaps follow c:
 
-    G'lambda = e,    r = (d; s) - B u - G c,    where a column of -G is the jump of a motion.
+    G'lambda = e,    r = (d; s) - B u - G c,    where a column of G is the jump of a motion.
 
 These are the equations of floating bodies (`Equilibrium`) with U = 0.
 """

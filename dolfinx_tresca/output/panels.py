@@ -82,11 +82,11 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     carries = values["state"] > ContactState.OUTSIDE
     touches = values["state"] >= ContactState.PRESSED
     closed = (~carries | touches)[facets].all(axis=1) & carries[facets].any(axis=1)
-    beside = np.ones(len(carries), dtype=np.bool_)
-    beside[facets[~closed]] = False
-    values["pressed"] = np.where(carries, touches, beside).astype(float)
+    in_closed_facets = np.ones(len(carries), dtype=np.bool_)
+    in_closed_facets[facets[~closed]] = False
+    values["pressed"] = np.where(carries, touches, in_closed_facets).astype(float)
     values["sticks"] = np.isin(values["state"], STICKING).astype(float)
-    if "slip_increment" in values:
+    if "slip_increment" in values:  # after an accepted load step
         slip_name, values["slip"] = "slip of step", values["slip_increment"]
     if "slip" in values:
         values["slip"][values["sticks"] > 0.0] = 0.0  # the error of the iteration is removed

@@ -171,7 +171,7 @@ class Facets:
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with their nodes at other points (n, k, 3); `offsets` turn with them.
 
-        `bent` of the result describes the facets of this rank only; see `undeformed.checked`.
+        `bent` of the result describes the facets of this rank only; see `with_checked_areas`.
         """
         moved = replace(self, points=points)
         if self.has_exact_surface:

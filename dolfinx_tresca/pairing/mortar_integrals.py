@@ -256,28 +256,31 @@ class MortarIntegrals(FacetIntegrals):
         weight = weight * surface.may_touch(
             own_facet, outward, partner_surface, their_facet, their_outward
         )
+        # what lies far behind the nearest point of a piece is another surface
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
         weight = weight * (np.abs(apart) - nearest[piece] <= FACET_LENGTH * pieces.radii[piece])
-        seen = weight
+        seen = weight  # in either role; from here on `weight` is that of pairs in this role
         opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
         if self._order is not None:
             is_primary = ~self._order.is_secondary(facet, partner)[point_pair]
             opposite[point_pair[is_primary & (weight > 0.0)]] = True
             weight = weight * ~is_primary
-        area = weight
+        surface_weight = weight
         if not secondary.affine:  # areas of curved facets for those in the planes of pieces
             vectors = secondary.area_vectors_at(own_facet, x_own)
-            height = np.abs(dots(vectors, pieces.normals[piece]))
-            area = area * np.linalg.norm(vectors, axis=1) / height
+            in_plane = np.abs(dots(vectors, pieces.normals[piece]))
+            surface_weight = surface_weight * np.linalg.norm(vectors, axis=1) / in_plane
         if secondary.axisymmetric:
-            area = area * 2.0 * np.pi * dots(values, secondary.points[own_facet, :, 0])
+            surface_weight = (
+                surface_weight * 2.0 * np.pi * dots(values, secondary.points[own_facet, :, 0])
+            )
 
         kept, simplex_starts = np.unique(pair, return_index=True)
 
         def products(right: Array) -> Array:
             """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
-            left = (area[:, None] * hats).reshape(-1, count, hats.shape[1])
+            left = (surface_weight[:, None] * hats).reshape(-1, count, hats.shape[1])
             blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
             return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
 
@@ -285,8 +288,8 @@ class MortarIntegrals(FacetIntegrals):
         coincide = secondary.coincide(facet, primary, partner)[point_pair]
         if not secondary.has_exact_surface:
             to_partner[coincide], to_surface[coincide] = 0.0, 0.0
-        flat = coincide | secondary.has_exact_surface
-        secondary_sagitta = ~flat * surface.heights(own_facet, hats)
+        without_height = coincide | secondary.has_exact_surface
+        secondary_sagitta = ~without_height * surface.heights(own_facet, hats)
         sagitta = dots(to_surface - to_partner, normals)
         # a vector between the surfaces: the distance of the facets minus both heights would lose
         # accuracy for closely fitting bodies, for which heights are much larger than the distance
@@ -295,19 +298,17 @@ class MortarIntegrals(FacetIntegrals):
         # at the corners of the simplices: of the linear function that fits the distances best
         least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
-        piece = mine[kept]
-        seen = np.add.reduceat(seen, simplex_starts * count)
-        covered: Mask = np.bincount(piece, seen, minlength=len(limit)) >= (
-            (1.0 - MISMATCH) * self._area
-        )
-        add = covered[piece] if covered_only else np.ones(len(piece), dtype=np.bool_)
+        piece_of_pair, seen_of_pair = mine[kept], np.add.reduceat(seen, simplex_starts * count)
+        seen_of_piece = np.bincount(piece_of_pair, seen_of_pair, minlength=len(limit))
+        covered: Mask = seen_of_piece >= (1.0 - MISMATCH) * self._area
+        add = covered[piece_of_pair] if covered_only else np.ones(len(kept), dtype=np.bool_)
         means = np.column_stack([distance, secondary_sagitta, sagitta, normals])
         for total, integrand in ((self.hats, hats), (self.values, values), (self.means, means)):
             np.add.at(total, facet[kept][add], products(integrand)[add])
         least = np.minimum.reduceat(least, simplex_starts)
         np.minimum.at(self.least, facet[kept][add], least[add])
         sizes = np.add.reduceat(weight, simplex_starts * count)
-        np.add.at(self._covered, piece[add], sizes[add])
+        np.add.at(self._covered, piece_of_pair[add], sizes[add])
         both: Indices = np.column_stack([facet, partner])[kept]
         paired = add & (sizes > 0.0)
         self._overlaps.append(

@@ -282,7 +282,7 @@ class Undeformed:
             points = facets.points.copy()
             points[:, :, : u.shape[1]] += u[node.reshape(facets.nodes.shape)]
             moved = facets.moved_to(points)
-            result[tag] = checked(V.mesh.comm, moved, self.group.surfaces, name)
+            result[tag] = with_checked_areas(V.mesh.comm, moved, self.group.surfaces, name)
         return result
 
 
@@ -361,10 +361,10 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
     ahead = points[:, :corners].mean(axis=1) - middle
     vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
     result.outward[dots(vectors, ahead) < 0.0] = -1.0
-    return checked(comm, result, pair, side)
+    return with_checked_areas(comm, result, pair, side)
 
 
-def checked(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
+def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
     """Check the areas of a side's facets; return the facets with `bent` set for all ranks.
 
     Before the call it may describe the facets of this rank only. Collective.
@@ -372,14 +372,15 @@ def checked(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -
     Raises:
         PairingError: a facet has no area.
     """
-    size = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
-    largest, bent = reduce_array(comm, [size.max(initial=0.0), float(facets.bent)], MPI.MAX)
-    # in 2D the area of a facet is its size, so it is compared with the largest facet
-    whole = size**2 if facets.dim == 2 else largest
-    flat = facets.areas <= (MESH_ROUNDING + facets.rounding) * whole
-    number, total = reduce_array(comm, np.array([flat.sum(), len(flat)]))
+    diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
+    largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
+    # a facet of a surface is compared with its own diameter squared; the length of a facet of a
+    # curve (2D) is its diameter, so it is compared with the largest facet
+    expected = diameters**2 if facets.dim == 2 else largest
+    empty = facets.areas <= (MESH_ROUNDING + facets.rounding) * expected
+    number, total = reduce_array(comm, np.array([empty.sum(), len(empty)]))
     if number > 0:
-        where = row_of_least(comm, facets.file_numbers[flat, 0], facets.points[flat].mean(axis=1))
+        where = row_of_least(comm, facets.file_numbers[empty, 0], facets.points[empty].mean(axis=1))
         raise PairingError(
             f"{number} of the {total} facets of {pair.side(side)} ({side} side) have no area; "
             f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."
@@ -507,12 +508,13 @@ def straightened(V: Any, u: Array) -> Array:
     mean displacement of the vertices of its edge, face or cell; else the result is u.
 
     Args:
-        V: the space of the displacement.
+        V: the space of the displacement, of degree 1 or 2.
         u: (nodes, dim of space) displacement of this rank's nodes [length].
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):
         return u
+    # the mesh then has straight edges, between whose vertices u becomes linear
     cells, corners = V.dofmap.list, entities_per_cell(V, 0)
     hats = tabulate(element.cell_type.name, 1, 0, element.points)[0]
     result = u.copy()

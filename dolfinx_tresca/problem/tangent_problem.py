@@ -175,11 +175,11 @@ class TangentSystem(LinearSystem):
             StiffnessError: K is not symmetric, or not finite.
         """
         self.update_material()
-        if self._tangent is not self.K:
+        if self._tangent is not self.K:  # K is a sum with `added`: assemble the tangent alone
             self.K.destroy()
             self.K = self._tangent
         super().assemble_stiffness()
-        self._tangent = self.K  # K is a new object after each assembly if J is a matrix
+        self._tangent = self.K  # a new object after each assembly if the user gives J as a matrix
         if self.added is not None:
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -275,12 +275,12 @@ class TangentProblem(ContactSystem):
         self._has_history = tangent.has_material or on_accept is not None
         u = self.u.x.array
         self._reference = u.copy() if self._has_history else np.zeros_like(u)
-        self._mixed_norm: PETSc.Mat | None = None  # block of displacements, without conditions
+        self._reference_block: PETSc.Mat | None = None  # block of displacements, without conditions
         with replaced([self.u], [self._reference]):
             if tangent.component is not None:
                 tangent.update_material()
                 tangent.assemble_form()
-                self._mixed_norm = tangent.displacement_stiffness()
+                self._reference_block = tangent.displacement_stiffness()
             super().__init__(tangent, pairs, *solver)
         self.unknowns = self.u
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
@@ -500,7 +500,7 @@ class TangentProblem(ContactSystem):
         motion = correction.x.petsc_vec
         solver = self.compliance.operator.solver
         solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
-        if self._mixed_norm is not None:
+        if self._reference_block is not None:
             correction.x.scatter_forward()
             return self.energy_norm(correction.x.array)
         return math.sqrt(max(float(force.dot(motion)), 0.0))
@@ -564,12 +564,13 @@ class TangentProblem(ContactSystem):
         return with_owned_values(space, values[owned // self.tangent.V.dofmap.bs], name)
 
     def energy_norm(self, values: Array) -> float:
-        """Return |v|_K for the values of v on this rank, with ghosts. Collective.
+        """Return sqrt(v'K v) for the values of v on this rank, with ghosts. Collective.
 
-        In a mixed space it is the norm of the displacement, with the block of displacements of the
-        reference tangent: the block of a later tangent may be indefinite for displacements that
-        change the volume. A step solves for the other unknowns as exactly as for displacements: an
-        error of theirs alone is gone after one step.
+        K is the tangent that was assembled last. In a mixed space it is the norm of the
+        displacement, with the block of displacements of the tangent at the start of the solve: the
+        block of a later tangent may be indefinite for displacements that change the volume. A step
+        solves for the other unknowns as exactly as for displacements: an error of theirs alone is
+        gone after one step.
         """
         v = fem.Function(self.tangent.space)
         v.x.array[:] = values
@@ -577,8 +578,8 @@ class TangentProblem(ContactSystem):
 
     def _norm(self, u: fem.Function) -> float:
         """Return the `energy_norm` of a displacement [length]. Collective."""
-        if self._mixed_norm is None:
+        if self._reference_block is None:
             return math.sqrt(max(2.0 * self.tangent.strain_energy(u.x.petsc_vec), 0.0))
-        forces = self._mixed_norm.createVecLeft()
-        self._mixed_norm.mult(u.x.petsc_vec, forces)
+        forces = self._reference_block.createVecLeft()
+        self._reference_block.mult(u.x.petsc_vec, forces)
         return math.sqrt(max(float(u.x.petsc_vec.dot(forces)), 0.0))

@@ -373,7 +373,8 @@ class RigidObstacle:
             k = int(wrong.argmax())
             raise InputError(
                 f"the signed distance of {self} must return finite distances and normals of length "
-                f"1; found {distance[k]:g} and the length {length[k]:g} at {points[k].tolist()}."
+                f"1; found distance {distance[k]:g} and length {length[k]:g} at "
+                f"{tuple(float(f'{c:.6g}') for c in points[k])}."
             )
         return distance, (self.motion.rotation @ normal).T
 

@@ -139,7 +139,7 @@ def evaluate(
     lam = dual.bounds(solution.multipliers, solution.gradient)
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
-    error = response.end_at(solution.multipliers, solved, solution.accuracy)
+    error = response.end_at(solution.multipliers, solved, solution.displacement_tolerance)
     stress, c = solution.multipliers * B.stress_scale, solution.c
     r, missing = dual.in_equilibrium(solution.multipliers, solved, c)
     in_frames.x.scatter_forward()

@@ -205,8 +205,8 @@ class DualSolution:
         q: q(lambda) at the start and after each iteration, with the energy of soft constraints.
         rho: the step length at the end.
         wanted: requested relative error in the energy norm; inf if residuals were the criterion.
-        accuracy: tolerable error of the displacement in the energy norm; None: determined by the
-            options of the solver for K.
+        displacement_tolerance: tolerable error of the displacement in the energy norm, not
+            relative; None: determined by the options of the solver for K.
         deficit: motion along which friction is too weak for the constraints; None if friction is
             not known to be too weak.
     """
@@ -220,7 +220,7 @@ class DualSolution:
     q: tuple[float, ...]
     rho: float
     wanted: float
-    accuracy: float | None
+    displacement_tolerance: float | None
     deficit: FrictionDeficit | None = None
 
 
@@ -479,8 +479,11 @@ class History:
             rho=self.residual.rho,
             wanted=self.accuracy,
             # the displacement is computed after the last check of convergence: with an error as
-            # large as the tolerable error, its error bound could exceed the bound that was checked
-            accuracy=None if error is None else max(error, FORCING * self.tolerable_error(point)),
+            # large as the tolerable error, its error bound could exceed the bound that was checked;
+            # but the error of the gradient, which is that of A, stays
+            displacement_tolerance=(
+                None if error is None else max(error, FORCING * self.tolerable_error(point))
+            ),
         )
 
     def reached(self, point: Point, error: float, residual: float) -> tuple[float, float, bool]:

@@ -353,7 +353,7 @@ def cholesky(
         constraints: number of unknowns other than displacements, such as pressures. The number of
             negative pivots must equal this number. By Sylvester's law of inertia A + B'C^-1 B is
             then positive definite; if C is zero, A is positive definite on the vectors u with
-            B u = 0. None: the pivots are not checked.
+            B u = 0. None: the number is not known; only a pivot that is zero is an error.
 
     Raises:
         StiffnessError: the factorisation failed, or the pivots show that K is not positive
