@@ -81,3 +81,8 @@ def shown(value: Any) -> str:
     if len(text) <= _MAX_CHARACTERS:
         return text
     return f"an object of type {type(value).__name__}: {text[:_MAX_CHARACTERS]}..."
+
+
+def shown_place(point: Any) -> str:
+    """Return the text for a point in an error message: its coordinates with six digits."""
+    return str(tuple(float(f"{coordinate:.6g}") for coordinate in point))

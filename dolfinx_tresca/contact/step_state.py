@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
@@ -463,7 +463,7 @@ class SavedState:
             multipliers[n] = values[pair.normal_node, 0]
             tractions_and_slips = np.split(values[:, 1:], 2, axis=1)
             for result, vectors in zip((multipliers, origin), tractions_and_slips, strict=True):
-                result[t] = np.einsum("ri,ri->r", vectors[pair.tangent_node], pair.tangents)
+                result[t] = dots(vectors[pair.tangent_node], pair.tangents)
         slips = enumerate(SlipHistory.none(jump).slipped)
         history = SlipHistory(
             origin / jump.length_scale,

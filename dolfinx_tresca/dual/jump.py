@@ -15,7 +15,7 @@ from scipy.sparse import kron
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, dots
 from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, friction_discs, with_tangents_along_axes
@@ -242,7 +242,7 @@ class JumpOperator(PetscOwner):
         Nodes without a row of N, such as nodes that are prescribed along the normal, are included.
         """
         return [
-            np.einsum("ni,ni->n", vectors, pair.normals)
+            dots(vectors, pair.normals)
             for vectors, pair in zip(self.vectors(u), self.pairs, strict=True)
         ]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask, dots
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca._base.petsc import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -140,7 +140,7 @@ class Carry:
             vectors = old.tangential_vectors(values[tangential_rows])
             vectors = np.vstack([vectors, np.zeros((1, vectors.shape[1]))])
             result[n] = normal[position[new.normal_node]]
-            result[t] = np.einsum("ri,ri->r", vectors[position[new.tangent_node]], new.tangents)
+            result[t] = dots(vectors[position[new.tangent_node]], new.tangents)
         return result
 
 
@@ -215,7 +215,7 @@ class SlipHistory:
         origin = np.zeros(len(jump.gap))
         for pair, slip, (_, t) in zip(jump.pairs, slips, jump.slices, strict=True):
             vectors = slip[pair.tangent_node, :-1]
-            origin[t] = np.einsum("ri,ri->r", vectors, pair.tangents) / jump.length_scale[t]
+            origin[t] = dots(vectors, pair.tangents) / jump.length_scale[t]
         return cls.none(jump).after(jump, origin, slips, dissipation)
 
     def after(

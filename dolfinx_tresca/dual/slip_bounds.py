@@ -9,7 +9,16 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, LocalNumbers, Mask, cross, real
+from dolfinx_tresca._base.arrays import (
+    ROUNDING,
+    Array,
+    Indices,
+    LocalNumbers,
+    Mask,
+    cross,
+    dots,
+    real,
+)
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
@@ -93,7 +102,7 @@ def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Arra
     Raises:
         InputError: a direction is not finite, is zero, or is normal to the surface.
     """
-    axis = direction - np.einsum("ni,ni->n", direction, pair.normals)[:, None] * pair.normals
+    axis = direction - dots(direction, pair.normals)[:, None] * pair.normals
     length, whole = np.linalg.norm(axis, axis=1), np.linalg.norm(direction, axis=1)
     has_tangents = np.zeros(len(length), dtype=np.bool_)
     has_tangents[pair.tangent_node] = True

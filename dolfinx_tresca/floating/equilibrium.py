@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, dense, scaled_rows
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, dense, dots, scaled_rows
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
@@ -110,8 +110,8 @@ class Tools:
                 moved = motion.direction[:3] + np.cross(motion.direction[3:], arm)
                 moved = moved[:, :dim] * nodes.weights[:, None]
                 i, j = nodes.normal_node, nodes.tangent_node
-                column[rows.normal] -= np.einsum("ni,ni->n", moved[i], nodes.normals[i])
-                column[rows.tangential] -= np.einsum("ni,ni->n", moved[j], nodes.tangents)
+                column[rows.normal] -= dots(moved[i], nodes.normals[i])
+                column[rows.tangential] -= dots(moved[j], nodes.tangents)
         return cls(motions, bodies, csr_array(stress_scale[:, None] * G))
 
     def names(self, components: Array) -> str:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, depth_first_order
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, unit
 from dolfinx_tresca.output.files import Grid, gather_grid
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.solution.fields import STICKING, ContactState, SurfaceFields
@@ -201,9 +201,8 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
         directions = np.gradient(places, axis=0)
         if closed:  # both neighbours of the node count
             directions[[0, -1]] = places[1] - places[-2]
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-        curves.append((nodes, start_of_arc + np.append(0.0, np.cumsum(steps)), directions))
+        curves.append((nodes, start_of_arc + np.append(0.0, np.cumsum(steps)), unit(directions)))
         start_of_arc = 1.04 * curves[-1][1][-1]
     return curves
 
@@ -271,8 +270,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
         right = np.cross(up, normal)
-        directions = np.array([right, np.cross(normal, right)])
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
         across, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
         width, height = size_of(panel)

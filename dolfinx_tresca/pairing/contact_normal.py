@@ -244,7 +244,7 @@ class SmoothSurface:
             hats: (n, corners) values of the facet's hat functions at each point.
         """
         products = hats[:, self._first] * hats[:, self._second]
-        return np.asarray(np.einsum("nc,nc->n", products, self._heights[facet]))
+        return dots(products, self._heights[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).

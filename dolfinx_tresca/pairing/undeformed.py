@@ -32,7 +32,7 @@ from dolfinx_tresca._base.parallel import (
     row_of_least,
     warn,
 )
-from dolfinx_tresca.errors import InputError, MeshError, PairingError
+from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown_place
 from dolfinx_tresca.pairing.facets import (
     MESH_ROUNDING,
     NEGLIGIBLE,
@@ -383,7 +383,7 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
         where = row_of_least(comm, facets.file_numbers[empty, 0], facets.points[empty].mean(axis=1))
         raise PairingError(
             f"{number} of the {total} facets of {pair.side(side)} ({side} side) have no area; "
-            f"one is at {tuple(float(f'{c:.6g}') for c in where)}. Repair the mesh there."
+            f"one is at {shown_place(where)}. Repair the mesh there."
         )
     return replace(facets, bent=bool(bent))
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arguments import check_word, checked_number
 from dolfinx_tresca._base.arrays import Array, integer
-from dolfinx_tresca.errors import InputError, MeshError, shown
+from dolfinx_tresca.errors import InputError, MeshError, shown, shown_place
 
 #: Endings of the names of CAD files, and of all files that Gmsh reads here.
 CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs", ".xao")
@@ -280,7 +280,8 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
         )
     finite = np.isfinite(projected).all(axis=0)
     if not finite.all():
-        raise InputError(f"{name} gives no finite point next to {points[~finite][0].tolist()}.")
+        where = shown_place(points[~finite][0])
+        raise InputError(f"{name} gives no finite point next to {where}.")
     result = points.copy()
     result[:, :dim] = projected.T[:, :dim]
     return result

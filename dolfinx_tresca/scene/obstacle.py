@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.errors import InputError, shown
+from dolfinx_tresca.errors import InputError, shown, shown_place
 from dolfinx_tresca.scene.friction import numbers_text
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
@@ -374,7 +374,7 @@ class RigidObstacle:
             raise InputError(
                 f"the signed distance of {self} must return finite distances and normals of length "
                 f"1; found distance {distance[k]:g} and length {length[k]:g} at "
-                f"{tuple(float(f'{c:.6g}') for c in points[k])}."
+                f"{shown_place(points[k])}."
             )
         return distance, (self.motion.rotation @ normal).T
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, dots, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array, warn
@@ -207,7 +207,7 @@ def _motions_of_pair(
         shape: (nodes, d) displacement at which the surfaces were paired [length].
     """
     comm, normals = V.mesh.comm, operators.normals
-    slips = jumps - np.einsum("ni,ni->n", jumps, normals)[:, None] * normals
+    slips = jumps - dots(jumps, normals)[:, None] * normals
     pressed: Mask = force > 0.0
     length = np.linalg.norm(slips, axis=1)
     places, sizes = operators.places[pressed], operators.sizes[pressed]
@@ -242,7 +242,7 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
     reach = operators.sizes
     pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
     point, piece = pieces.near(points, reach)
-    opposed = np.einsum("ni,ni->n", normals[point], pieces.normals[piece]) < -FACING_COSINE
+    opposed = dots(normals[point], pieces.normals[piece]) < -FACING_COSINE
     return np.isin(np.arange(len(points)), point[opposed])
 
 
@@ -309,7 +309,7 @@ def hint_at_overlap(
     ):
         if pair.obstacle is not None and surface.obstacle is not None:
             moved = _carried(paired.places, pair.obstacle.motion, surface.obstacle.motion)
-            closing -= np.einsum("ni,ni->n", moved, paired.normals)
+            closing -= dots(moved, paired.normals)
         depth = np.where(paired.prescribed, closing - paired.gap, 0.0)
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
