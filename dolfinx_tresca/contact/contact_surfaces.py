@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
-from typing import Any
 
 from mpi4py import MPI
 
@@ -40,7 +39,7 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
-from dolfinx_tresca.stiffness.choice import StiffnessMethod, choose, warn_of_slow_blas
+from dolfinx_tresca.stiffness.choice import SolverRequest, choose, warn_of_slow_blas
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.solver import check_options, cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -80,20 +79,14 @@ class ContactSurfaces(PetscOwner):
         self,
         linear: LinearSystem,
         pairs: list[ContactPair],
-        stiffness: StiffnessMethod,
-        petsc_options: Mapping[str, Any] | None,
-        petsc_options_prefix: str | None,
-        expected_solves: int = 1,
+        request: SolverRequest,
     ) -> None:
         """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective.
 
         Args:
             linear: the system K u = f.
             pairs: the contact pairs, whose tags of cells have the names of bodies.
-            stiffness: how to solve with K: "cholesky", "multigrid" or "auto".
-            petsc_options: PETSc options of the solver for K, with precedence over the defaults.
-            petsc_options_prefix: prefix of the options that the command line gives to this solver.
-            expected_solves: number of solves with the same K, approximately.
+            request: how to solve with K.
 
         Raises:
             InputError: an option of the solver, a gap or a law of friction is wrong.
@@ -101,8 +94,8 @@ class ContactSurfaces(PetscOwner):
             StiffnessError: K is not symmetric, or is indefinite.
         """
         self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
-        self._petsc_options = petsc_options or {}, petsc_options_prefix
-        check_options(*self._petsc_options)
+        self._petsc_options, self._prefix = request.petsc_options or {}, request.prefix
+        check_options(self._petsc_options, self._prefix)
         if linear.comm.rank == 0:
             warn_of_slow_blas()
         check_tags(pairs, linear.V.mesh)
@@ -111,7 +104,7 @@ class ContactSurfaces(PetscOwner):
         dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
         size = dim * self.bodies.mean_nodes
         self.method, self.reason = choose(
-            stiffness, size, dim, expected_solves, linear.comm, saddle=is_saddle
+            request.method, size, dim, request.expected_solves, linear.comm, saddle=is_saddle
         )
         self._modes: RigidBodyModes | None = None
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
@@ -164,9 +157,10 @@ class ContactSurfaces(PetscOwner):
         with timed(self.method, self.timings):
             K = springs.added_to(linear.K) if springs else linear.K
             if self.method == "cholesky":
-                solver = cholesky(K, *self._petsc_options, linear.saddle_size)
+                solver = cholesky(K, self._petsc_options, self._prefix, linear.saddle_size)
             else:
-                solver = multigrid(K, linear.V, linear.prescribed, *self._petsc_options)
+                prescribed = linear.prescribed
+                solver = multigrid(K, linear.V, prescribed, self._petsc_options, self._prefix)
             # for a saddle point, this factors another matrix
             return ContactCompliance(self.jump, solver, springs)
 
@@ -334,8 +328,9 @@ class ContactSurfaces(PetscOwner):
         continues = self.comm.allreduce(same, op=MPI.LAND)
         self.note_obstacles()
         self._pair_anew(u, np.ones(len(self.pairs), np.bool_))
-        places = {"configuration": u.copy(), "geometry": u.copy()}
-        self._state = replace(self._state, **places, continues=continues)
+        self._state = replace(
+            self._state, configuration=u.copy(), geometry=u.copy(), continues=continues
+        )
 
     @property
     def state(self) -> StepState:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from mpi4py import MPI
 
@@ -48,7 +48,7 @@ from dolfinx_tresca.solvers.feasible_set import CurveAtNodes, FrictionCones, pre
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import BALANCED, DualSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.choice import one_thread
+from dolfinx_tresca.stiffness.choice import SolverRequest, one_thread
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Row, Units
 
@@ -65,13 +65,15 @@ class ContactSystem(ContactSurfaces):
     uses one; its K is the present tangent.
     """
 
-    def __init__(self, linear: LinearSystem, pairs: list[ContactPair], *solver: Any) -> None:
+    def __init__(
+        self, linear: LinearSystem, pairs: list[ContactPair], request: SolverRequest
+    ) -> None:
         """Pair the surfaces, and assemble and factor K. Collective.
 
         Args:
             linear: the system K u = f, which is destroyed if this call fails.
             pairs: the contact pairs.
-            solver: how to solve with K; see `ContactSurfaces`.
+            request: how to solve with K.
 
         Raises:
             InputError: an argument is wrong.
@@ -83,7 +85,7 @@ class ContactSystem(ContactSurfaces):
             keep_inner_communicator(space.dofmap.index_map.comm)
         try:
             free_unused(linear.comm)  # objects of earlier problems that were not destroyed
-            super().__init__(linear, pairs, *solver)
+            super().__init__(linear, pairs, request)
         except ContactError:
             linear.destroy()
             raise
@@ -203,10 +205,11 @@ class ContactSystem(ContactSurfaces):
         if status in CHECKED and not solution.sliding:
             state, tractions, v = self.state, solution.multipliers, solution.deformation
             motions = self.obstacles.motions if state.solution is None else state.solution.motions
-            scene = self.jump, self.pairs, solution.u, state.geometry
             departures = [
                 *(() if self.linear.is_tangent else motions_of_bodies(v, self.bodies)),
-                *motions_of_pairs(*scene, tractions, motions),
+                *motions_of_pairs(
+                    self.jump, self.pairs, solution.u, state.geometry, tractions, motions
+                ),
             ]
             reason = reason_outside(self.comm, departures, self._noticed)
             if reason:

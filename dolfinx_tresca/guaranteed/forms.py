@@ -149,11 +149,10 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
     )
     for integral in L.integrals():
         kind, integrand = integral.integral_type(), integral.integrand()
-        indicator, degree, angle = 1.0, 1, 0.0
+        indicator, degree = 1.0, 1
         places = [(range(corners), cells.volumes, result.load)]
         if kind != "cell":
-            # between a displacement and its quadratic part, if both are the largest
-            indicator, degree, angle = on_facet, 2, np.arccos(QUADRATIC_TRACE[d] / TRACE[d])
+            indicator, degree = on_facet, 2
             places = [*zip(opposite(d), cells.areas.T, result.traction.swapaxes(0, 1), strict=True)]
         space, nodes = fem.functionspace(mesh, ("DG", degree, (d,))), basis_nodes(corners, degree)
         nearest, test = fem.Function(space), ufl.TestFunction(space)
@@ -171,7 +170,8 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
         for j, (vertices, sizes, load) in enumerate(places):
             normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, j]
             mass, linear = basis_means(len(vertices), degree), basis_nodes(len(vertices), degree)
-            basis_dofs = dofs[:, nodes[:, vertices].sum(axis=1) == 1.0]
+            among_vertices = nodes[:, vertices].sum(axis=1) == 1.0
+            basis_dofs = dofs[:, among_vertices]
             moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
             values = np.linalg.solve(mass, moments) / sizes[:, None, None]
             nearest.x.array[:] = 0.0
@@ -179,9 +179,26 @@ def loads(L: ufl.Form | None, owned: OwnedCells, factors: Array, maps: EntityMap
             farther = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
             projection = np.linalg.solve(linear.T @ mass @ linear, linear.T @ mass @ values)
             values -= linear @ projection
-            quadratic = np.sqrt(sizes * (values * (mass @ values)).sum(axis=(1, 2)))
-            norms = np.hypot(quadratic, farther)
-            norms *= np.cos(np.maximum(angle - np.arctan2(farther, quadratic), 0.0))
-            load += projection
-            result.oscillation[:] += factors[:, 0 if kind == "cell" else 1 + j] * norms
+            load += projection  # a view of the result
+            if kind == "cell":
+                result.oscillation[:] += factors[:, 0] * farther
+            else:
+                quadratic = np.sqrt(sizes * (values * (mass @ values)).sum(axis=(1, 2)))
+                work = largest_work(quadratic, farther, d)
+                result.oscillation[:] += factors[:, 1 + j] * work
     return result
+
+
+def largest_work(quadratic: Array, farther: Array, d: int) -> Array:
+    """Return |t - t_h| cos(theta_F) (n,) of tractions on facets (docs/theory/guaranteed.md).
+
+    The factor R_F of a traction that is orthogonal to linear functions is too large for its
+    quadratic part, whose factor is Q_F: R_F cos(theta_F) is Q_F for quadratic tractions.
+
+    Args:
+        quadratic: (n,) norms of the quadratic parts of t - t_h.
+        farther: (n,) distances of the tractions t from quadratic functions.
+        d: dimension of space.
+    """
+    angle = np.arccos(QUADRATIC_TRACE[d] / TRACE[d]) - np.arctan2(farther, quadratic)
+    return np.asarray(np.hypot(quadratic, farther) * np.cos(np.maximum(angle, 0.0)))

@@ -230,7 +230,7 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
     places |= {"bottom": 0.5 / height, "top": 1.0 - (HEADER + 0.05) / height}
     rows = {"height_ratios": (0.64, 0.36)[: len(charts)], "gridspec_kw": places}
     all_axes = panel.subplots(len(charts), sharex=True, squeeze=False, **rows)[:, 0]
-    for axes, (names, label, unit) in zip(all_axes, charts, strict=True):
+    for axes, (names, label, axis_unit) in zip(all_axes, charts, strict=True):
         for nodes, s, directions in unrolled(contact.grid):
             sticks = values["sticks"][nodes] > 0.0
             for name in names:
@@ -242,7 +242,7 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
                     axes.fill_between(s, y, color=colour, alpha=0.15, lw=0)
                 elif name == "traction":
                     axes.plot(s[sticks], y[sticks], "o", color="black", markersize=5, zorder=3)
-        axes.set_ylabel(labelled(label, unit))
+        axes.set_ylabel(labelled(label, axis_unit))
         axes.locator_params(nbins=5)
         axes.axhline(0.0, color="grey", linewidth=0.8, zorder=1)
         axes.margins(x=0.02)

@@ -1,6 +1,6 @@
 """The jump at secondary nodes: the dual basis, gaps, normals and directions of friction.
 
-Before that: which secondary nodes carry multipliers, and what to do if none does.
+The first functions decide which secondary nodes carry multipliers, and what to do if none does.
 """
 
 from __future__ import annotations
@@ -76,13 +76,13 @@ SAME_MEANS = 1e-3
 def corners_that_carry(
     V: Any, nodes: SurfaceNodes, integrals: FacetIntegrals, shared: Mask
 ) -> Mask:
-    """Return which corners of facets carry multipliers, if anything faces them. Collective.
+    """Return the mask of the corners of facets that carry multipliers. Collective.
 
     The other corners give their part of the overlap to their neighbours: these are nodes beyond the
-    rim of the overlap. A part of the area of such a node may be covered,
-    but the node itself does not face the primary side. If it had a multiplier, the primary side
-    would seem to extend up to the node: the nodal force would be as large as for a whole facet, and
-    the pressure, this force divided by the covered area, would be far too large.
+    rim of the overlap. A part of the area of such a node may be covered, but the node itself does
+    not face the primary side. If it had a multiplier, the primary side would seem to extend up to
+    the node: the nodal force would be as large as for a whole facet, and the pressure, this force
+    divided by the covered area, would be far too large.
 
     If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
     its multiplier.
@@ -460,7 +460,7 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
 def _normals_and_room(
     owners: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
 ) -> tuple[Mask, Array]:
-    """Return which nodes have rows of N (n,), and projections (n, d, d) onto directions left for T.
+    """Return the mask (n,) of nodes with a row of N, and projections (n, d, d) onto those of T.
 
     If several patches of a node on a sharp edge face the same place, such as an edge in the corner
     of a box with the same nodes, they have the same jump. Each patch has a row of N for its normal,

@@ -38,7 +38,7 @@ from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactForce, ContactPair, Goal, NormalForce, checked_goal
 from dolfinx_tresca.solvers.problem import SMALLEST_TOLERANCE
-from dolfinx_tresca.stiffness.choice import StiffnessMethod
+from dolfinx_tresca.stiffness.choice import SolverRequest, StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Units
 
@@ -154,8 +154,8 @@ class ContactProblem(ContactProcess):
         """
         super().__init__(pairs, SolverOptions() if options is None else options, units)
         linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
-        solver = stiffness, petsc_options, petsc_options_prefix, expected_solves
-        self._take(ContactSystem(linear, self.pairs, *solver))
+        request = SolverRequest(stiffness, petsc_options, petsc_options_prefix, expected_solves)
+        self._take(ContactSystem(linear, self.pairs, request))
 
     @property
     def stiffness(self) -> PETSc.Mat:

@@ -140,6 +140,11 @@ class NewtonStep:
     pressed: int
     added: str
 
+    @property
+    def is_proximal(self) -> bool:
+        """Whether stiffness of the undeformed bodies was added, as where bodies snap."""
+        return "proximal" in self.added
+
 
 @dataclass(frozen=True)
 class NewtonRecord:
@@ -363,7 +368,7 @@ class Newton:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         if UNSTABLE_ELEMENTS in self.failure:
             return text
-        if any("proximal" in step.added for step in self.steps):
+        if any(step.is_proximal for step in self.steps):
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
             text += UNSTABLE_ELEMENTS
         return text
@@ -494,7 +499,7 @@ class Newton:
             errors: largest ratio of an error to the requested one, for each step.
         """
         most, number = self.options.max_iterations, len(errors)
-        snaps = any("proximal" in step.added for step in self.steps[-number:])
+        snaps = any(step.is_proximal for step in self.steps[-number:])
         snaps |= self._sliding is not None and self._sliding.snaps
         if number < most * (MAX_ITERATIONS_FACTOR if snaps else 1):
             return True

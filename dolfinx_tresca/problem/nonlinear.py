@@ -26,7 +26,7 @@ from dolfinx_tresca.problem.tangent_problem import TangentProblem, TangentSystem
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.choice import StiffnessMethod
+from dolfinx_tresca.stiffness.choice import SolverRequest, StiffnessMethod
 from dolfinx_tresca.table import Row, Units
 
 #: Rows of a linear solution's table that mean nothing for nonlinear bodies: they describe the
@@ -221,8 +221,8 @@ class NonlinearContactProblem(ContactProcess):
             J = 0.5 * (J + ufl.adjoint(J))
         self._F, self._is_symmetrized = F, symmetrize
         tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
-        solver = stiffness, petsc_options, petsc_options_prefix
-        self._take(TangentProblem(tangent, on_accept, self.pairs, *solver))
+        request = SolverRequest(stiffness, petsc_options, petsc_options_prefix)
+        self._take(TangentProblem(tangent, on_accept, self.pairs, request))
         self._solves = 0
         self._level = 0
 

@@ -472,8 +472,9 @@ class ContactProcess(PetscOwner, Tabulated):
         fields = contact.solution_for("reaction()").fields
         u = getattr(self, "u", fields.deformation)
         facet_tags = self.pairs[0].given_tags("secondary")[0]
-        scene = contact.linear, u, fields.contact_force, facet_tags
-        supports = Supports(self._residual_at(u), *scene)
+        supports = Supports(
+            self._residual_at(u), contact.linear, u, fields.contact_force, facet_tags
+        )
         moved = fields.u if contact.slides_far else None
         result = supports.reaction(where, point, moved=moved, frames=contact.jump.frames)
         tag = integer(where)

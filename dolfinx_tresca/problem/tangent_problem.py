@@ -26,6 +26,7 @@ from dolfinx_tresca.dual.nodal_values import replaced
 from dolfinx_tresca.errors import ContactError, InputError, StiffnessError, shown
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.status import ContactStatus
+from dolfinx_tresca.stiffness.choice import SolverRequest
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -172,7 +173,9 @@ class TangentSystem(LinearSystem):
         """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective.
 
         Raises:
-            StiffnessError: K is not symmetric, or not finite.
+            StiffnessError: K is not symmetric, or not finite; or see `update_material`.
+            InputError: the user's function changes u, or the form cannot be assembled.
+            Exception: an error of the user's function, on all ranks.
         """
         self.update_material()
         if self._tangent is not self.K:  # K is a sum with `added`: assemble the tangent alone
@@ -253,7 +256,7 @@ class TangentProblem(ContactSystem):
         tangent: TangentSystem,
         on_accept: Callable[[], None] | None,
         pairs: list[ContactPair],
-        *solver: Any,
+        request: SolverRequest,
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective.
 
@@ -264,7 +267,7 @@ class TangentProblem(ContactSystem):
             tangent: the linear system of a step. The problem owns it.
             on_accept: see `NonlinearContactProblem`.
             pairs: the contact pairs.
-            solver: how to solve with the tangent; see `ContactSurfaces`.
+            request: how to solve with the tangent.
 
         Raises:
             InputError: an argument is wrong.
@@ -281,7 +284,7 @@ class TangentProblem(ContactSystem):
                 tangent.update_material()
                 tangent.assemble_form()
                 self._reference_block = tangent.displacement_stiffness()
-            super().__init__(tangent, pairs, *solver)
+            super().__init__(tangent, pairs, request)
         self.unknowns = self.u
         self._stiffness_for: tuple[JumpOperator, Array] | None = None
         self._tangent_is_plain = True  # the factored tangent has no springs, and is the present one

@@ -213,8 +213,9 @@ def evaluate(
         vectors = pressure[:, None] * operators.normals + traction
         forces.append(-operators.weights[:, None] * vectors)
         index = np.zeros(len(nodes), dtype=np.intp)
-        scene = comm, operators.places, forces[-1], index, 1, on_bodies[0].point
-        pair_resultants += resultants_on(*scene)
+        pair_resultants += resultants_on(
+            comm, operators.places, forces[-1], index, 1, on_bodies[0].point
+        )
     steps_of_pairs = [steps[nodes] for nodes in B.nodes]
     history = replace(dual.history, origin=origin).after(B, slip, steps_of_pairs, dissipation)
     resultant = reduce_array(comm, force)

@@ -172,7 +172,8 @@ class SemismoothNewton:
         Args:
             start: initial guess.
             tolerance: residual of a point that solves the equations.
-            softer: factor on the softness in the first step.
+            softer: factor on the softness in the first step; if it is not 1, steps are halved
+                `FEWER_HALVINGS` times at most.
         """
         point = best = start
         softness, idle = softer * self.softness, 0
@@ -182,7 +183,8 @@ class SemismoothNewton:
         for _ in range(MOST_STEPS):
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
-            (dx, dc), is_whole = self.step(point, softness), (idle + 1) % SHORT_PATIENCE == 0
+            is_whole = (idle + 1) % SHORT_PATIENCE == 0
+            dx, dc = self.step(point, softness)
             # if the face did not change, constraints that are soft in this step would keep a
             # residual, and all other residuals would vanish: this is what the step promises
             left = self.problem.constraints.residual(point.x + dx, point.c + dc)

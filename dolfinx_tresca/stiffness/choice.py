@@ -6,8 +6,9 @@ import ctypes
 import itertools
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
@@ -30,6 +31,24 @@ StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 #: the degree of the displacements. With twice the limit in 3D, solves in between take up to twice
 #: the time.
 CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
+
+
+@dataclass(frozen=True)
+class SolverRequest:
+    """How the user wants to solve with K.
+
+    Attributes:
+        method: "cholesky", "multigrid" or "auto".
+        petsc_options: PETSc options of the solver for K, with precedence over the defaults.
+        prefix: prefix of the options that the command line gives to this solver; None: there is
+            none.
+        expected_solves: number of solves with the same K, approximately.
+    """
+
+    method: StiffnessMethod
+    petsc_options: Mapping[str, Any] | None
+    prefix: str | None
+    expected_solves: int = 1
 
 
 def choose(

@@ -324,6 +324,9 @@ class LinearSystem(PetscOwner):
     def strain_energy(self, u: PETSc.Vec) -> float:
         """Return a(u, u) / 2 [energy], for the coefficients with which K was assembled. Collective.
 
+        In a mixed space, where K is (A, B'; B, -C), it is (v'A v + q'C q) / 2 for the displacement
+        v and the other unknowns q.
+
         Args:
             u: displacement, with prescribed values.
         """
