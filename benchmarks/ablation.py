@@ -59,8 +59,9 @@ from dolfinx_tresca.solvers import (
     semismooth_newton,
 )
 from dolfinx_tresca.solvers.constraints import Balance, balance
+from dolfinx_tresca.solvers.convergence import NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones
-from dolfinx_tresca.solvers.problem import DualProblem, NaturalResidual, Point
+from dolfinx_tresca.solvers.problem import DualProblem, Point
 from scenes import dense
 from scenes.elasticity import elasticity
 from scenes.random_blocks import RandomBlocks
@@ -341,7 +342,10 @@ PARTS: dict[str, Patches] = {
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
     "shift of A": [(products, "SHIFT", 0.0)],
-    "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
+    "shorter Newton steps": [
+        (semismooth_newton, "MOST_HALVINGS", 0),
+        (semismooth_newton, "FEWER_HALVINGS", 0),
+    ],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
     "other initial guesses": [(semismooth_newton, "GUESSES", 0)],
     "curvature of circles": [
@@ -371,7 +375,7 @@ CONSTANTS = {
     "_base.tolerances": "FORCING ROUGH SLACK FULL_ACCURACY PROGRESS PATIENCE SHORT_PATIENCE "
     "MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
+    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS FEWER_HALVINGS PROXIMAL SOFTER SOLVED",
     "solvers.iteration": "MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT "
     "LEAST_SOFTNESS",

@@ -18,8 +18,9 @@ from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import SlipBounds
 from dolfinx_tresca.pairing.operators import PairOperators, assemble_B
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
+from dolfinx_tresca.solvers.convergence import NaturalResidual
 from dolfinx_tresca.solvers.paper import largest_eigenvalue
-from dolfinx_tresca.solvers.problem import NaturalResidual, Point
+from dolfinx_tresca.solvers.problem import Point
 from dolfinx_tresca.stiffness.system import LinearSystem
 from scenes.assembled import dual_program
 

@@ -44,9 +44,10 @@ from dolfinx_tresca.solution.scene_checks import (
     motions_of_pairs,
     reason_outside,
 )
+from dolfinx_tresca.solvers.convergence import BALANCED
 from dolfinx_tresca.solvers.feasible_set import CurveAtNodes, FrictionCones, pressed_values
 from dolfinx_tresca.solvers.iteration import solve
-from dolfinx_tresca.solvers.problem import BALANCED, DualSolution
+from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import SolverRequest, one_thread
 from dolfinx_tresca.stiffness.system import LinearSystem

@@ -37,7 +37,7 @@ from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.pair import ContactForce, ContactPair, Goal, NormalForce, checked_goal
-from dolfinx_tresca.solvers.problem import SMALLEST_TOLERANCE
+from dolfinx_tresca.solvers.convergence import SMALLEST_TOLERANCE
 from dolfinx_tresca.stiffness.choice import SolverRequest, StiffnessMethod
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Units

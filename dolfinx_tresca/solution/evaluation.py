@@ -26,8 +26,9 @@ from dolfinx_tresca.solution.forces import (
     resultants_between,
     resultants_on,
 )
+from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
-from dolfinx_tresca.solvers.problem import DualSolution, Point, energy_norm, relative_error
+from dolfinx_tresca.solvers.problem import DualSolution, Point
 
 
 @dataclass(frozen=True)

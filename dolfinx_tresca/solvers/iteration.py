@@ -20,14 +20,12 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
 from dolfinx_tresca.solvers.constraints import balance, norm
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
     DualSolution,
     FrictionDeficit,
-    History,
     KnownProducts,
-    NaturalResidual,
-    Observe,
     Point,
 )
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, WholeModel

@@ -14,14 +14,8 @@ from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.tolerances import PATIENCE, PROGRESS
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers.constraints import norm
-from dolfinx_tresca.solvers.problem import (
-    DualProblem,
-    DualSolution,
-    History,
-    NaturalResidual,
-    Observe,
-    Point,
-)
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
+from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore
 from dolfinx_tresca.status import ContactStatus
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS, SHORT_PATIENCE
-from dolfinx_tresca.solvers.problem import DualProblem, Model, NaturalResidual, Point
+from dolfinx_tresca.solvers.convergence import NaturalResidual
+from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
 from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the

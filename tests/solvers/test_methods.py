@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus, SolverOptions
+from dolfinx_tresca.solvers.convergence import History, NaturalResidual
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.paper import adaptive_precision
-from dolfinx_tresca.solvers.problem import History, NaturalResidual
 from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
 from scenes.scene import EPS
 

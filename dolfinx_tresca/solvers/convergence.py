@@ -1,0 +1,367 @@
+"""When an iteration has converged: the natural residual, the criteria, and the record of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from dolfinx_tresca._base.arrays import ROUNDING, Array
+from dolfinx_tresca._base.tolerances import FORCING
+from dolfinx_tresca.monitor import Iteration
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.solvers.constraints import norm
+from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
+from dolfinx_tresca.status import ContactStatus
+
+#: Rounding may be the cause of a stagnation if the residual, divided by its scale or by |b|, is at
+#: most this number.
+EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
+
+
+class NaturalResidual:
+    """The residual |lambda - P(lambda - rho r)| / rho, the norm of the paper's reduced gradient.
+
+    With equality constraints, |e - G'lambda - S c| / rho is the other component of the residual.
+    The relative residual is this residual divided by its scale. The scale is the residual at
+    lambda = 0, so that the relative residual does not depend on units, on the size of the load, or
+    on the initial guess. In a load step whose initial multipliers x have a larger residual than
+    zero, the scale is at least |A x|. An example is a wedge that friction keeps in place after its
+    load is removed: the residual at zero is zero.
+
+    Attributes:
+        rho: step length.
+        scale: the divisor of relative residuals, see above.
+        zero_is_solution: whether the residual at lambda = 0 is rounding.
+        rounding: largest residual that counts as rounding.
+        zero: lambda = 0.
+    """
+
+    def __init__(self, problem: DualProblem, rho: float, error: float = 0.0) -> None:
+        """Measure the scale. Collective.
+
+        Args:
+            problem: the dual problem (38.4).
+            rho: step length.
+            error: error of the gradient at zero, in the norm sqrt(e'A^-1 e), if the solver cannot
+                reduce this error further; residuals below the error count as zero.
+        """
+        self._problem, self._error, self._counted, self.rho = problem, error, 0.0, rho
+        self.set_constraint_multipliers(np.zeros(len(problem.constraints)))
+
+    def set_constraint_multipliers(self, c: Array) -> None:
+        """Measure the scale with multipliers c (k,) of constraints: b is known up to G c."""
+        b = self._problem.b
+        self.zero = Point(np.zeros_like(b), c, -b - self._problem.constraints.columns @ c)
+        self.set_rho(self.rho)
+
+    def set_rho(self, rho: float) -> None:
+        """Change the step length with which residuals are measured. Collective."""
+        self.rho = rho
+        self.scale = self.norm_at(self.zero)
+        # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
+        moved = self._problem.constraints.absolute @ np.abs(self.zero.c)
+        self._terms = norm(self._problem, self._problem.response.b_terms)
+        size = self._terms + norm(self._problem, moved)
+        self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
+        self.zero_is_solution = self.scale <= self.rounding
+        self.scale = max(0.0 if self.zero_is_solution else self.scale, self._counted)
+
+    def count(self, product: Array) -> None:
+        """Increase the scale to the norm of a product A x (size,), if it is larger. Collective."""
+        self._counted = norm(self._problem, product)
+        self.scale = max(self.scale, self._counted)
+
+    def zero_is_undecided(self, error: float) -> bool:
+        """Return whether the gradient is too inaccurate to decide if zero is the solution.
+
+        It is if the projection of zero moves once each gradient is lowered by its largest error: a
+        pressure could begin. `rho` is about 1 / sigma_max of A. Collective.
+
+        Args:
+            error: error of the gradient at zero, in the norm sqrt(e'A^-1 e).
+        """
+        # |e| is at most sqrt(sigma_max) times the norm sqrt(e'A^-1 e)
+        largest, zero = error / float(np.sqrt(self.rho)), self.zero
+        return self.scale <= largest and self.norm_at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
+
+    def norm_at(self, point: Point) -> float:
+        """Return the natural residual, not divided by its scale. Collective."""
+        lam, x = self._problem.bounds(point.x, point.r), point.x
+        change = norm(self._problem, x - lam.project(x - self.rho * point.r))
+        unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))
+        return float(np.hypot(change, unbalanced)) / self.rho
+
+    def is_limited_by_rounding(self, residual: float) -> bool:
+        """Return whether rounding may keep a residual from decreasing. Not collective.
+
+        This is possible if the residual is small compared with its scale or with b. The size of b
+        matters if the loads move the bodies much less than the width of a gap: then the scale
+        follows from the loads, but rounding errors follow from the gap.
+        """
+        return residual <= EXHAUSTED * max(self.scale, self._terms)
+
+    def relative(self, residual: float) -> float:
+        """Return a natural residual divided by its scale. Not collective."""
+        return residual / self.scale if self.scale > 0.0 else residual
+
+
+def dual_energy(problem: DualProblem, point: Point) -> float:
+    """Return q = x'A x / 2 - b'x, plus the energy c'S c / 2 of soft constraints. Collective."""
+    constraints, c = problem.constraints, point.c
+    image = point.r + constraints.columns @ c - problem.b
+    return 0.5 * (float(problem.inner(point.x, image)) + float(c @ constraints.softness @ c))
+
+
+def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float:
+    """Return |u|_K [energy^(1/2)] of the displacement u; 0 if less than its error. Collective.
+
+    Args:
+        problem: the dual problem (38.4).
+        point: multipliers with their gradient.
+        error: error of the gradient in the norm sqrt(e'A^-1 e).
+    """
+    constraints, c = problem.constraints, point.c
+    soft = float(c @ constraints.softness @ c)
+    elastic = problem.response.energy_norm(point.x, point.r + constraints.columns @ c, error)
+    return float(np.hypot(elastic, np.sqrt(max(soft, 0.0))))
+
+
+def energy_error(problem: DualProblem, point: Point, error: float = 0.0) -> float:
+    """Return a bound of the displacement's relative error in the energy norm. Collective.
+
+    Args:
+        problem: the dual problem (38.4).
+        point: multipliers in Lambda, with their gradient.
+        error: error of the gradient in the norm sqrt(e'A^-1 e).
+    """
+    missing = problem.constraints.violation(point.x, point.c)
+    bound = problem.energy_bound(point.x, point.r, error + missing)
+    return relative_error(problem, bound, energy_norm(problem, point, error))
+
+
+def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
+    """Return an error bound divided by the norm of the displacement; 0 if both are rounding.
+
+    If the contact carries all loads and no body deforms, the displacement and its error are both
+    only rounding errors of displacements that cancel, and their ratio has no meaning.
+
+    Collective.
+
+    Args:
+        problem: the dual problem (38.4).
+        bound: bound of the error in the energy norm [energy^(1/2)].
+        norm: energy norm of the displacement [energy^(1/2)].
+    """
+    if bound == 0.0 or max(bound, norm) <= problem.response.energy_resolution():
+        return 0.0
+    return bound / norm if norm > 0.0 else float("inf")
+
+
+#: `SMALLEST_TOLERANCE` is the least relative energy error that is requested if the mesh's error
+#: determines the request. With `rtol`, the mesh's error is not estimated if the relative energy
+#: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
+SMALLEST_TOLERANCE, BELOW_ANY_MESH = 1e-8, 1e-4
+
+#: Largest accepted residual of the equality constraints, relative to their terms: forces are in
+#: equilibrium.
+BALANCED = 1e-10
+
+#: Requested residual if there is no bound of the energy error and the user set no `rtol`.
+UNPROVEN = 1e-6
+
+#: Function that is called with each iterate, the first one included. It returns whether to stop,
+#: with the same result on all ranks.
+Observe = Callable[[Iteration], bool]
+
+
+class History:
+    """Checks the convergence of each iterate of a solve, and records residuals and energies.
+
+    With `accuracy=`, only the bound of the energy error is checked. By default, the requested
+    energy error is a part of the discretisation error, and the traction of every node must be near
+    its local minimiser (`DualProblem.local_error`), since energies say little about peaks and
+    states. With `rtol=`, the residual is checked in addition: for slender bodies, for example, the
+    energy error may be large although the residual is small.
+
+    Attributes:
+        residual: natural residual and its scale.
+        accuracy: relative error in the energy norm that is requested at present; inf if it is not
+            yet known.
+        residuals: relative natural residual of each iterate.
+        q: q(lambda) of each iterate, with the energy of soft constraints.
+        errors: natural residual of each iterate, not divided by its scale.
+    """
+
+    def __init__(
+        self,
+        problem: DualProblem,
+        options: SolverOptions,
+        observe: Observe,
+        residual: NaturalResidual,
+    ) -> None:
+        """Begin a solve. Not collective."""
+        self._problem, self._options, self._observe = problem, options, observe
+        self.residual = residual
+        given, rtol = options.accuracy, options.rtol
+        self.accuracy = np.inf if isinstance(given, str) or rtol else given
+        self._mesh_decides = self.accuracy == np.inf
+        self.residuals: list[float] = []
+        self.q: list[float] = []
+        self.errors: list[float] = []
+
+    def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
+        """Record an iterate; return the status if the iteration ends here, else None. Collective.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
+        """
+        problem, residual = self._problem, self.residual
+        value = residual.norm_at(point)
+        self.errors.append(value)
+        self.residuals.append(residual.relative(value))
+        self.q.append(dual_energy(problem, point))
+        reached, wanted, done = self.reached(point, error, value)
+        number = len(self.residuals) - 1
+        stop = self._observe(
+            Iteration(
+                number, problem.operator.products, self.residuals[-1], reached, wanted, self.q[-1]
+            )
+        )
+        if done:
+            return ContactStatus.CONVERGED
+        if stop:
+            return ContactStatus.STOPPED
+        if number >= self._options.max_iterations:
+            return ContactStatus.MAX_ITERATIONS
+        return None
+
+    def is_idle(self, number: int, progress: float, since: int = 0) -> bool:
+        """Return whether residuals have not decreased in the last iterations. Not collective.
+
+        Args:
+            number: number of iterations.
+            progress: ratio of two residuals that counts as a decrease.
+            since: number of the first iterate that counts.
+        """
+        residuals = self.residuals[since:]
+        return len(residuals) > number and (
+            min(residuals[-number:]) > progress * min(residuals[:-number])
+        )
+
+    def solution(self, point: Point, status: ContactStatus, error: float | None) -> DualSolution:
+        """Return the result with the last iterate as the solution. Collective.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            status: reason for the end of the iteration.
+            error: error of the gradient in the norm sqrt(e'A^-1 e); None: unknown.
+        """
+        return DualSolution(
+            multipliers=point.x,
+            c=point.c,
+            gradient=point.r,
+            status=status,
+            iterations=len(self.residuals) - 1,
+            residuals=tuple(self.residuals),
+            q=tuple(self.q),
+            rho=self.residual.rho,
+            wanted=self.accuracy,
+            # the displacement is computed after the last check of convergence: with an error as
+            # large as the tolerable error, its error bound could exceed the bound that was checked;
+            # but the error of the gradient, which is that of A, stays
+            displacement_tolerance=(
+                None if error is None else max(error, FORCING * self.tolerable_error(point))
+            ),
+        )
+
+    def reached(self, point: Point, error: float, residual: float) -> tuple[float, float, bool]:
+        """Return the reached and the requested accuracy, and whether the iterate is good enough.
+
+        The two numbers belong to the first criterion that is not met; if all criteria are met, they
+        belong to the last criterion. Unless the user set `accuracy=`, the first call with a small
+        bound sets `accuracy` from the error of the mesh. Collective.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
+            residual: natural residual, not divided by its scale.
+        """
+        reached, wanted = 0.0, 1.0
+        for reached, wanted in self.measures(point, error, residual):
+            if not reached <= wanted:
+                return reached, wanted, residual == 0.0
+        return reached, wanted, True
+
+    def measures(
+        self, point: Point, error: float, residual: float
+    ) -> Iterator[tuple[float, float]]:
+        """Yield the reached and the requested value of each criterion in turn. Collective.
+
+        A criterion is computed only if the caller asks for it, after the earlier criteria are met.
+        If the residual is rounding, there is no criterion with the default accuracy, or if zero is
+        the solution.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+            error: error of the gradient in the norm sqrt(e'A^-1 e).
+            residual: natural residual, not divided by its scale.
+        """
+        problem, x, r = self._problem, point.x, point.r
+        is_asked = self._options.rtol is not None or not self._mesh_decides
+        is_rounding = residual <= self.residual.rounding
+        if is_rounding and (self.residual.zero_is_solution or not is_asked):
+            return
+        if not is_rounding:
+            yield problem.constraints.imbalance(x, point.c), BALANCED
+        if self._options.rtol is not None:
+            yield self.residual.relative(residual), self._options.rtol
+        bound = energy_error(problem, point, error)
+        if not self._mesh_decides:
+            yield bound, self.accuracy
+            return
+        yield problem.local_error(x, r), self._options.local_accuracy
+        if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
+            # the relative bound is infinite while errors exceed the norm of the displacement
+            if self.accuracy == np.inf:
+                yield bound, FORCING
+                if self._options.rtol is None or bound > BELOW_ANY_MESH:
+                    mesh = problem.discretisation_error(x, point.c)
+                    self.accuracy = min(
+                        max(self._options.mesh_part * mesh, SMALLEST_TOLERANCE), FORCING
+                    )
+            if self.accuracy < np.inf:
+                yield bound, self.accuracy
+        elif self._options.rtol is None:
+            yield self.residual.relative(residual), UNPROVEN
+
+    def tolerable_error(self, point: Point) -> float:
+        """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
+
+        The tolerable error is small compared with the error of the multipliers, since the local
+        errors of the nodes are computed from the gradient.
+
+        Args:
+            point: multipliers in Lambda, with their gradient.
+        """
+        problem = self._problem
+        norm = energy_norm(problem, point)
+        if norm == 0.0:  # no relative error
+            return 0.0
+        reached = energy_error(problem, point)
+        error = max(min(self.accuracy, reached), SMALLEST_TOLERANCE) * norm
+        if self._options.rtol is not None or not np.isfinite(error):
+            error = min(error, self.residual_error)
+        return FORCING * error
+
+    @property
+    def residual_error(self) -> float:
+        """The largest tolerable norm sqrt(e'A^-1 e) of an error e of the gradient.
+
+        The Euclidean norm |e| is then at most the requested residual.
+        """
+        rtol = UNPROVEN if self._options.rtol is None else self._options.rtol
+        # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)
+        rho = self.residual.rho
+        return rtol * self.residual.scale * float(np.sqrt(rho / self._options.step_factor))
