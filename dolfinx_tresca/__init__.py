@@ -29,13 +29,7 @@ from dolfinx_tresca.problem.linear import ContactProblem
 from dolfinx_tresca.problem.newton import NewtonOptions, NewtonRecord, NewtonStep
 from dolfinx_tresca.problem.nonlinear import NonlinearContactProblem, NonlinearContactSolution
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import (
-    Bonded,
-    Coulomb,
-    Frictionless,
-    Preload,
-    Tresca,
-)
+from dolfinx_tresca.scene.friction import Bonded, Coulomb, Frictionless, Preload, Tresca
 from dolfinx_tresca.scene.mesh import MESHES, TaggedMesh, read_gmsh
 from dolfinx_tresca.scene.obstacle import RigidCylinder, RigidObstacle, RigidPlane, RigidSphere
 from dolfinx_tresca.scene.pair import (

@@ -39,9 +39,10 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
-from dolfinx_tresca.stiffness.choice import SolverRequest, choose, warn_of_slow_blas
+from dolfinx_tresca.solution.scene_checks import Limit, hint_at_scene
+from dolfinx_tresca.stiffness.choice import SolverRequest, warn_of_slow_blas
 from dolfinx_tresca.stiffness.frames import BodyFrames
-from dolfinx_tresca.stiffness.solver import check_options, cholesky, multigrid
+from dolfinx_tresca.stiffness.solver import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 
 
@@ -76,26 +77,21 @@ class ContactSurfaces(PetscOwner):
     """
 
     def __init__(
-        self,
-        linear: LinearSystem,
-        pairs: list[ContactPair],
-        request: SolverRequest,
+        self, linear: LinearSystem, pairs: list[ContactPair], request: SolverRequest
     ) -> None:
         """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective.
 
-        Args:
-            linear: the system K u = f.
-            pairs: the contact pairs, whose tags of cells have the names of bodies.
-            request: how to solve with K.
+        The tags of cells in the pairs have the names of bodies.
 
         Raises:
             InputError: an option of the solver, a gap or a law of friction is wrong.
             PairingError: the surfaces of a pair cannot be paired.
             StiffnessError: K is not symmetric, or is indefinite.
         """
+        free_unused(linear.comm)  # objects of earlier problems that were not destroyed
         self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
+        self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
         self._petsc_options, self._prefix = request.petsc_options or {}, request.prefix
-        check_options(self._petsc_options, self._prefix)
         if linear.comm.rank == 0:
             warn_of_slow_blas()
         check_tags(pairs, linear.V.mesh)
@@ -103,9 +99,7 @@ class ContactSurfaces(PetscOwner):
         self.bodies = Bodies.from_space(linear.V, next(cell_tags, None))
         dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
         size = dim * self.bodies.mean_nodes
-        self.method, self.reason = choose(
-            request.method, size, dim, request.expected_solves, linear.comm, saddle=is_saddle
-        )
+        self.method, self.reason = request.choose(size, dim, linear.comm, saddle=is_saddle)
         self._modes: RigidBodyModes | None = None
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
@@ -137,6 +131,7 @@ class ContactSurfaces(PetscOwner):
                 for pair, on_nodes in zip(pairs, operators, strict=True):
                     self.friction.check(pair.friction, on_nodes.nodes, rounding)
         self.frames_at_rest = self._frames_at_rest()
+        hint_at_scene(linear.V, pairs, self.jump.pairs, self.bodies)
 
     def _factored(self) -> ContactCompliance:
         """Assemble K, find the rigid modes that it resists weakly, and return A. Collective.
@@ -144,9 +139,6 @@ class ContactSurfaces(PetscOwner):
         With a mixed space, the modes are found in the first call only: in later steps, pressures
         make the block of the displacements indefinite even for a stable body, and the signs of
         pivots tell whether bodies are held.
-
-        Raises:
-            StiffnessError: K is not symmetric, or is indefinite.
         """
         linear = self.linear
         with timed("stiffness", self.timings):
@@ -170,11 +162,7 @@ class ContactSurfaces(PetscOwner):
         return f"{self.bodies.number}{'' if self._modes is None else self._modes.summary}"
 
     def check_suits(self, options: SolverOptions) -> None:
-        """Check that options suit the bodies and the form. Not collective.
-
-        Raises:
-            InputError: the options need a form of UFL, or bodies without rigid motions.
-        """
+        """Check that options suit the bodies and the form. Not collective."""
         linear = self.linear
         if options.balanced and not linear.form_of_displacement:
             reason = "a is none" if linear.form is None else "a is on a mixed space"
@@ -217,20 +205,12 @@ class ContactSurfaces(PetscOwner):
         free_unused(self.comm)
 
     def check_not_destroyed(self) -> None:
-        """Check that the PETSc objects exist. Not collective.
-
-        Raises:
-            ContactError: the problem was destroyed.
-        """
+        """Check that the PETSc objects exist. Not collective."""
         if self._destroyed:
             raise ContactError("the problem was destroyed: create a new one.")
 
     def slip_bounds(self) -> list[NodalBounds]:
-        """Return the present slip bounds at each pair's nodes. Collective.
-
-        Raises:
-            InputError: a bound is wrong.
-        """
+        """Return the present slip bounds at each pair's nodes. Collective."""
         rounding = self.compliance.stress_rounding
         return [
             self.friction.nodal_bounds(pair.friction, operators.nodes, rounding)
@@ -238,11 +218,7 @@ class ContactSurfaces(PetscOwner):
         ]
 
     def added_gaps(self) -> list[Array]:
-        """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective.
-
-        Raises:
-            InputError: a gap is on another mesh.
-        """
+        """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective."""
         gaps = []
         for number, (pair, on_nodes) in enumerate(zip(self.pairs, self.jump.pairs, strict=True)):
             gap, name = pair.gap, f"the gap of contact pair {pair}"
@@ -255,11 +231,7 @@ class ContactSurfaces(PetscOwner):
         return gaps
 
     def bolt_forces(self, resultants: Sequence[Resultant]) -> dict[str, BoltForce]:
-        """Return the force in each bolt, by the name of its pair. Collective.
-
-        Args:
-            resultants: for each pair the resultant of contact on its secondary side.
-        """
+        """Return the force in each bolt, by the name of its pair, from all pairs' resultants."""
         result = {}
         for number, (pair, resultant) in enumerate(zip(self.pairs, resultants, strict=True)):
             if isinstance(pair.friction, Preload):
@@ -269,11 +241,7 @@ class ContactSurfaces(PetscOwner):
         return result
 
     def update_gaps(self) -> None:
-        """Evaluate the gaps that users add to the distances, and update B's gap. Collective.
-
-        Raises:
-            InputError: a gap is on another mesh, or is NaN or infinite.
-        """
+        """Evaluate the gaps that users add to the distances, and update B's gap. Collective."""
         gaps = self.added_gaps()
         with errors_on_all_ranks(self.comm):
             for pair, gap in zip(self.pairs, gaps, strict=True):
@@ -288,11 +256,7 @@ class ContactSurfaces(PetscOwner):
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
 
-        If the axes differ from the axes of the last solve, A becomes another matrix, and the known
-        products are dropped.
-
-        Raises:
-            InputError: the direction of orthotropic friction is normal to the surface.
+        If the axes have changed, so has A, and the known products are dropped.
         """
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
@@ -305,32 +269,6 @@ class ContactSurfaces(PetscOwner):
         solution = self._state.solution
         valid = solution is not None and solution.dual.compliance is self.compliance
         return solution if valid else None
-
-    def update_geometry(self, u: fem.Function) -> None:
-        """Pair all surfaces in the configuration displaced by u. Collective.
-
-        If u is the displacement of the last solve, the load step stays the same, and the next solve
-        starts from the last tractions.
-
-        Args:
-            u: displacement [length] in the problem's space.
-
-        Raises:
-            InputError: u is no Function of that space, or has values that are NaN or infinite.
-            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
-            StiffnessError: a solve with K failed.
-            ContactError: the problem was destroyed.
-        """
-        self.check_not_destroyed()
-        self.linear.check_displacement("the displacement u of the surfaces", u)
-        solved = self.solved
-        same = solved is not None and np.array_equal(solved.fields.u.x.array, u.x.array)
-        continues = self.comm.allreduce(same, op=MPI.LAND)
-        self.note_obstacles()
-        self._pair_anew(u, np.ones(len(self.pairs), np.bool_))
-        self._state = replace(
-            self._state, configuration=u.copy(), geometry=u.copy(), continues=continues
-        )
 
     @property
     def state(self) -> StepState:
@@ -363,13 +301,7 @@ class ContactSurfaces(PetscOwner):
     def begin_solve(self) -> None:
         """Pair again where obstacles have moved, then go back to where the next solve starts.
 
-        This is the last accepted step, if the start may affect the result. For nonlinear bodies
-        the user's u is set to the start, too. Collective.
-
-        Raises:
-            InputError: the signed distance of an obstacle is wrong.
-            PairingError: the surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
+        For nonlinear bodies the user's u is set to the start, too. Collective.
         """
         self.pair_where_changed(self._state.accepted.configuration)
         self.state = self.start
@@ -382,16 +314,12 @@ class ContactSurfaces(PetscOwner):
     def pair_where_changed(
         self, configuration: fem.Function | None = None, geometry: fem.Function | None = None
     ) -> None:
-        """Pair surfaces again where the geometry has changed. Collective.
-
-        This concerns pairs whose obstacle has moved, and pairs that are paired at another
-        displacement.
+        """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
 
         Args:
-            configuration: displacement [length] at which pairs with finite sliding are paired;
-                None: the present one.
-            geometry: displacement [length] at which the other pairs are paired; None: the present
+            configuration: displacement [length] for pairs with finite sliding; None: the present
                 one.
+            geometry: displacement [length] for the other pairs; None: the present one.
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.
@@ -438,17 +366,9 @@ class ContactSurfaces(PetscOwner):
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair some surfaces in the configuration displaced by u. Collective.
 
-        With finite sliding, the slip counts from the last accepted step. The slip of a node is its
-        displacement since this step, relative to the node's present partner and projected onto the
-        node's tangent plane in the configuration.
-
-        Args:
-            u: displacement [length] in the problem's space.
-            anew: (pairs,) True for the pairs to be paired again.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
+        The mask (pairs,) `anew` has True for the pairs to be paired again. With finite sliding,
+        the slip of a node is its displacement since the last accepted step, relative to its present
+        partner and projected onto its tangent plane in the configuration.
         """
         if not anew.any():
             return
@@ -486,12 +406,8 @@ class ContactSurfaces(PetscOwner):
     def obstacle_jumps(self, before: Array, after: Array) -> tuple[Array, float]:
         """Return the jumps (size,) that motions of obstacles cause, and the largest displacement.
 
-        The jumps are divided by `JumpOperator.length_scale`, and are zero where no obstacle moves.
-        Collective.
-
-        Args:
-            before: (pairs, 3, 4) former motions of the obstacles (`RigidMotion.matrix`).
-            after: (pairs, 3, 4) motions of the obstacles after these.
+        The motions are (pairs, 3, 4), see `RigidMotion.matrix`. The jumps are divided by
+        `JumpOperator.length_scale`, and are zero where no obstacle moves. Collective.
         """
         state, jump = self._state, self.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0
@@ -507,10 +423,7 @@ class ContactSurfaces(PetscOwner):
         return jumps, largest
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
-        """Return the gaps (pairs, owned nodes) [length] at a displacement. Collective.
-
-        They are NaN at nodes without a normal multiplier.
-        """
+        """Return the gaps (pairs, owned nodes) [length], NaN without multipliers. Collective."""
         jump = self.jump
         return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
 
@@ -522,12 +435,7 @@ class ContactSurfaces(PetscOwner):
         return self._at_nodes(self._state.multipliers / self.jump.stress_scale**2, 0.0)
 
     def _at_nodes(self, values: Array, default: float) -> Array:
-        """Return values (pairs, owned nodes) of normal rows (size,) of B. Not collective.
-
-        Args:
-            values: (size,) values, one for each row of B.
-            default: the value at nodes without a normal multiplier.
-        """
+        """Return the values (pairs, owned nodes) of normal rows, from those (size,) of B's rows."""
         nodes = self.linear.V.dofmap.index_map.size_local
         result = np.full((len(self.pairs), nodes), default)
         for of_pair, pair, (n, _) in zip(result, self.jump.pairs, self.jump.slices, strict=True):
@@ -537,19 +445,13 @@ class ContactSurfaces(PetscOwner):
     def contact_forces(self, multipliers: Array | None = None) -> Array:
         """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective.
 
-        Args:
-            multipliers: (size,) lambda; None: those of the present state.
+        None stands for the multipliers of the present state.
         """
         multipliers = self._state.multipliers if multipliers is None else multipliers
         return np.array(self.jump.contact_force(multipliers).array)
 
     def update_stiffness(self) -> None:
-        """Assemble and factor K again. Collective.
-
-        Raises:
-            StiffnessError: K is not symmetric, or is indefinite; or it resists rigid motions of a
-                body that has turned in its frame.
-        """
+        """Assemble and factor K again. Collective."""
         self.compliance.destroy()
         self.compliance = self._factored()
         frames = self._frames_at_rest()

@@ -11,6 +11,8 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx import fem
+
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import (
@@ -21,7 +23,7 @@ from dolfinx_tresca._base.parallel import (
     timed,
     warn,
 )
-from dolfinx_tresca._base.petsc import free_unused, keep_inner_communicator
+from dolfinx_tresca._base.petsc import free_unused
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.step_state import StepSolution
@@ -33,24 +35,14 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Preload
 from dolfinx_tresca.scene.obstacle import RigidMotion
-from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution import scene_checks
 from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
-from dolfinx_tresca.solution.scene_checks import (
-    Limit,
-    hint_at_overlap,
-    hint_at_scene,
-    hint_at_weakening,
-    motions_of_bodies,
-    motions_of_pairs,
-    reason_outside,
-)
 from dolfinx_tresca.solvers.convergence import BALANCED
 from dolfinx_tresca.solvers.feasible_set import CurveAtNodes, FrictionCones, pressed_values
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.choice import SolverRequest, one_thread
-from dolfinx_tresca.stiffness.system import LinearSystem
+from dolfinx_tresca.stiffness.choice import one_thread
 from dolfinx_tresca.table import Row, Units
 
 #: Statuses with which a solution may have left linear theory. Where a body slides without end,
@@ -66,45 +58,17 @@ class ContactSystem(ContactSurfaces):
     uses one; its K is the present tangent.
     """
 
-    def __init__(
-        self, linear: LinearSystem, pairs: list[ContactPair], request: SolverRequest
-    ) -> None:
-        """Pair the surfaces, and assemble and factor K. Collective.
-
-        Args:
-            linear: the system K u = f, which is destroyed if this call fails.
-            pairs: the contact pairs.
-            request: how to solve with K.
-
-        Raises:
-            InputError: an argument is wrong.
-            PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric, or is indefinite.
-        """
-        self._noticed: set[Limit] = set()  # limits of linear theory near which solutions have come
-        for space in (linear.space, linear.V):
-            keep_inner_communicator(space.dofmap.index_map.comm)
-        try:
-            free_unused(linear.comm)  # objects of earlier problems that were not destroyed
-            super().__init__(linear, pairs, request)
-        except ContactError:
-            linear.destroy()
-            raise
-        hint_at_scene(linear.V, self.pairs, self.jump.pairs, self.bodies)
-
     def solution_for(self, purpose: str) -> StepSolution:
-        """Return the last solution. Not collective.
-
-        Args:
-            purpose: name of the result that needs the solution, for the error.
-
-        Raises:
-            ContactError: the problem was destroyed, or nothing was solved since it changed.
-        """
+        """Return the last solution; errors name the purpose that needs it. Not collective."""
         self.check_not_destroyed()
         if self.solved is None:
             raise ContactError(f"there is no solution for {purpose}: call solve() first.")
         return self.solved
+
+    @property
+    def displacement(self) -> fem.Function:
+        """The displacement [length] of the last solution, or of nonlinear bodies the present u."""
+        return self.solution_for("its displacement").fields.u
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
@@ -116,12 +80,7 @@ class ContactSystem(ContactSurfaces):
         ]
 
     def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
-        """Return the present gaps, slip bounds and friction curves at contact nodes. Collective.
-
-        Raises:
-            InputError: a gap, a slip bound or a coefficient of friction has a value that is not
-                allowed.
-        """
+        """Return the present gaps, slip bounds and friction curves at contact nodes. Collective."""
         result = self.added_gaps()
         for bounds in self.slip_bounds():
             result += [bounds.constant, bounds.coefficient, bounds.limit]
@@ -137,14 +96,7 @@ class ContactSystem(ContactSurfaces):
         """
 
     def check_no_tools(self, purpose: str) -> None:
-        """Check that neither obstacles nor bolts have given forces. Not collective.
-
-        Args:
-            purpose: name of the result that does not know such motions, for the error.
-
-        Raises:
-            InputError: an obstacle is held by forces, or a pair has a preload.
-        """
+        """Check that neither obstacles nor bolts have given forces. Not collective."""
         for pair in self.pairs:
             given = pair.obstacle is not None and pair.obstacle.given_forces
             if given or isinstance(pair.friction, Preload):
@@ -156,15 +108,7 @@ class ContactSystem(ContactSurfaces):
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
 
-        Collective.
-
-        Args:
-            purpose: name of the result that needs the solution, for the error.
-
-        Raises:
-            ContactError: the last solve did not converge, or the data have changed since.
-            InputError: a gap, a slip bound or a coefficient of friction has a value that is not
-                allowed.
+        Collective; errors name the purpose that needs them.
         """
         solved = self.solution_for(purpose)
         if self.state.pending and solved.status is not ContactStatus.CONVERGED:
@@ -182,8 +126,7 @@ class ContactSystem(ContactSurfaces):
     def restored(self) -> Iterator[None]:
         """Restore the state of the process at the end of the block. Collective.
 
-        Inside the block, solves may start from other steps and with other inputs. If K or the
-        pairing changes inside the block, derivatives of the last solution are not known any more.
+        If K or the pairing changes inside the block, derivatives of the last solution are lost.
         """
         state = self.state
         try:
@@ -201,18 +144,18 @@ class ContactSystem(ContactSurfaces):
         configurations are not checked, since surfaces that come from afar may lie deep inside other
         bodies there. Rotations and deformations have limits if the bodies are linear.
         """
-        hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
+        scene_checks.hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
         if status in CHECKED and not solution.sliding:
             state, tractions, v = self.state, solution.multipliers, solution.deformation
             motions = self.obstacles.motions if state.solution is None else state.solution.motions
             departures = [
-                *(() if self.linear.is_tangent else motions_of_bodies(v, self.bodies)),
-                *motions_of_pairs(
+                *(() if self.linear.is_tangent else scene_checks.motions_of_bodies(v, self.bodies)),
+                *scene_checks.motions_of_pairs(
                     self.jump, self.pairs, solution.u, state.geometry, tractions, motions
                 ),
             ]
-            reason = reason_outside(self.comm, departures, self._noticed)
+            reason = scene_checks.reason_outside(self.comm, departures, self._noticed)
             if reason:
                 if status is ContactStatus.CONVERGED:
                     status = ContactStatus.OUTSIDE_THEORY
@@ -328,16 +271,9 @@ class ContactSystem(ContactSurfaces):
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Check the friction curves F(pressure, slip) at the pressures and slips of a solution.
+        """Return the friction curves, checked at the pressures and slips of a solution. Collective.
 
         A hint is logged if F decreases so fast with the slip that there may be several solutions.
-        Collective.
-
-        Returns:
-            each curve with the pressures (n,) [stress] and slips (n,) [length] of its nodes.
-
-        Raises:
-            InputError: F is negative, NaN or infinite at a node under pressure.
         """
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
@@ -346,17 +282,16 @@ class ContactSystem(ContactSurfaces):
         arguments = cones.curve_arguments(x)
         for curve in arguments:
             self.friction.check_curve(*curve)
-        hint_at_weakening(self.comm, cones, x, dual.known_products().largest_ritz_value)
+        scene_checks.hint_at_weakening(
+            self.comm, cones, x, dual.known_products().largest_ritz_value
+        )
         return arguments
 
     def _check_no_slip_dependence(self) -> None:
         """Check for floating bodies that no coefficient of friction depends on the slip.
 
-        Such problems are refused since the solver may not converge: for a block held by viscous
-        friction alone, the solver found no multipliers within minutes. Not collective.
-
-        Raises:
-            InputError: a coefficient depends on the slip.
+        For a block held by viscous friction alone, the solver found no multipliers within minutes.
+        Not collective.
         """
         for pair in self.pairs:
             curve = pair.friction.terms.curve
@@ -389,13 +324,6 @@ def _status_of_fields(
     may be larger than the bound with which the iteration ended: then rounding prevents the accuracy
     that `options` ask for. It may also be small enough for what the user requested although the
     iteration ended early, since `options` may ask for more, or the iterates were less accurate.
-
-    Args:
-        dual: the dual problem.
-        solution: solution of the dual problem.
-        evaluation: fields of the solution.
-        options: options of the contact algorithm.
-        requested: the options that the user gave; `options` may ask for more.
     """
     if solution.status is ContactStatus.STOPPED:
         return ContactStatus.STOPPED

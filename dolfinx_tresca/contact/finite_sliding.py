@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
 from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.errors import PairingError
@@ -132,12 +130,8 @@ class FiniteSliding:
 
         Collective.
 
-        The change of gaps is relative to the largest displacement since the last accepted step, or
-        to `SMALL_STEP` times the largest displacement if this is larger. Changes that the rounding
-        of positions causes count as zero: a body that returns to rest has no other changes.
-
-        Args:
-            u: solution of the contact problem in the present configuration [length].
+        Changes that the rounding of positions causes count as zero: a body that returns to rest has
+        no other changes.
         """
         contact, state = self._contact, self._contact.state
         pressures = np.asarray(contact.compliance.stress_rounding / contact.jump.stress_scale)
@@ -158,13 +152,11 @@ class FiniteSliding:
             opened = np.nan_to_num(gaps - former.gaps)
             before_step = state.accepted.displacement
             step = u.x.array - (0.0 if before_step is None else before_step.x.array)
-            sizes = [float(np.abs(values).max(initial=0.0)) for values in (opened, step, u.x.array)]
-            largest, moved, displaced = reduce_array(contact.comm, sizes, MPI.MAX)
+            largest, moved, displaced = largest_sizes(contact.comm, opened, step, u.x.array)
             moved = max(moved, SMALL_STEP * displaced)
             resolution = ROUNDING * (contact.obstacles.extent + displaced)
             self.change = max(
-                _ratio(square, size, rounding_square),
-                _ratio(largest**2, moved**2, resolution**2),
+                _ratio(square, size, rounding_square), _ratio(largest**2, moved**2, resolution**2)
             )
         change, ratio = self.change, 0.5
         if math.isfinite(before) and before > 0.0:
@@ -213,8 +205,8 @@ class FiniteSliding:
         w.x.array[:] += v.x.array
         w = w if linear.frames is None else linear.frames.displacement(w)
         linear.frames = frames
-        sizes = [np.abs(x).max(initial=0.0) for x in (w.x.array - origin.x.array, w.x.array)]
-        moved, displaced = reduce_array(contact.comm, sizes, MPI.MAX)
+        change = w.x.array - origin.x.array
+        moved, displaced = largest_sizes(contact.comm, change, w.x.array)
         if moved > ROUNDING * (contact.obstacles.extent + displaced):
             contact.pair_where_changed(w)
 
@@ -224,11 +216,6 @@ class FiniteSliding:
         """Return the change of the prescribed values in this step, relative to the last one.
 
         It is 1 if they change by the same amounts, and zero if they do not change. Collective.
-
-        Args:
-            values: present prescribed values, in the order of owned unknowns.
-            before: displacement [length] before the last step.
-            accepted: displacement [length] of the last step.
         """
         prescribed = self._contact.linear.prescribed
         begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
@@ -239,11 +226,7 @@ class FiniteSliding:
         return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
 
     def pair_next_configuration(self) -> None:
-        """Pair the surfaces in the next configuration. Collective.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-        """
+        """Pair the surfaces in the next configuration. Collective."""
         w = fem.Function(self._contact.linear.V)
         w.x.array[:] = self._next()
         self._contact.pair_where_changed(w)
@@ -301,13 +284,7 @@ def solve_with_finite_sliding(
     units: Units | None,
     observe: Callable[[Iteration], bool],
 ) -> ContactSolution:
-    """Solve a contact problem of linear bodies with finite sliding. Collective.
-
-    See `ContactSystem.solve`.
-
-    Raises:
-        PairingError: the surfaces of a configuration cannot be paired.
-    """
+    """Solve as `ContactSystem.solve` does, for linear bodies with finite sliding. Collective."""
     sliding = FiniteSliding(contact)
     sliding.pair_first_configuration()
     cost: dict[str, Any] = {}

@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
@@ -37,19 +37,13 @@ class Obstacles:
     """
 
     def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
-        """Find the obstacles of the pairs. Collective.
-
-        Args:
-            V: the space of the displacement.
-            pairs: the contact pairs.
-        """
+        """Find the obstacles of the pairs. Collective."""
         self._V, self._pairs = V, pairs
         self._obstacles = [pair.obstacle for pair in pairs]
         self._at_pairing: list[Array] = []
         # motions of bolts; the entries of obstacles are not read
         self._of_bolts = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
-        largest = np.abs(V.mesh.geometry.x).max(initial=0.0)
-        self.extent = float(reduce_array(V.mesh.comm, largest, MPI.MAX))
+        (self.extent,) = largest_sizes(V.mesh.comm, V.mesh.geometry.x)
 
     @property
     def motions(self) -> Array:
@@ -61,27 +55,14 @@ class Obstacles:
         return motions
 
     def place(self, motions: Array, *, only_held_by_forces: bool = False) -> None:
-        """Place bolts and obstacles, all or only those that forces hold. Not collective.
-
-        Args:
-            motions: (pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle or bolt.
-            only_held_by_forces: whether other obstacles stay where the user has moved them.
-        """
+        """Place bolts and obstacles, all or only those that forces hold, by their `motions`."""
         self._of_bolts = motions.copy()
         for obstacle, matrix in zip(self._obstacles, motions, strict=True):
             if obstacle is not None and (obstacle.given_forces or not only_held_by_forces):
                 obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
-        """Return the motions (pairs, 3, 4) of the obstacles at a fraction of a load step.
-
-        Not collective.
-
-        Args:
-            before: (pairs, 3, 4) motions at the start of the step, as in `motions`.
-            after: (pairs, 3, 4) motions at the end of the step.
-            fraction: fraction of the way from the start to the end, from 0 to 1.
-        """
+        """Return the `motions` of the obstacles at a fraction of a load step, from 0 to 1."""
         result = np.array(after)
         for place, obstacle, start, end in zip(result, self._obstacles, before, after, strict=True):
             if obstacle is not None and fraction < 1.0:
@@ -90,11 +71,7 @@ class Obstacles:
         return result
 
     def axis(self, number: int, operators: PairOperators) -> Array:
-        """Return the mean normal (3,) of the secondary side of a bolt's cut. Collective.
-
-        Raises:
-            InputError: the cut is not flat.
-        """
+        """Return the mean normal (3,) of the secondary side of a bolt's cut. Collective."""
         comm, axis = self._V.mesh.comm, np.zeros(3)
         dim = operators.normals.shape[1]
         mean = reduce_array(comm, operators.weights @ operators.normals)
@@ -110,13 +87,7 @@ class Obstacles:
     def free_motions(self, jump: JumpOperator, begun: bool) -> list[FreeMotion]:
         """Return the motions of obstacles held by forces, and of bolts that are pulled. Collective.
 
-        Args:
-            jump: B.
-            begun: whether a load step was accepted, which has locked the bolts.
-
-        Raises:
-            InputError: an obstacle cannot have a motion here, the problem is not linear, or an
-                obstacle that is held by forces belongs to a pair with finite sliding.
+        The first accepted load step locks the bolts: the process has then `begun`.
         """
         result: list[FreeMotion] = []
         for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
@@ -139,11 +110,7 @@ class Obstacles:
     def _motions_of(
         self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator
     ) -> list[FreeMotion]:
-        """Return the free motions of an obstacle that belongs to some pairs. Collective.
-
-        Raises:
-            InputError: the obstacle cannot have a motion here.
-        """
+        """Return the free motions of an obstacle that belongs to some pairs. Collective."""
         names = ("y",) if jump.system.axisymmetric else FREEDOMS[self._V.mesh.geometry.dim]
         free = names if given.free is None else given.free
         if not set(free) <= set(names):
@@ -152,23 +119,18 @@ class Obstacles:
             )
         point = obstacle.motion.applied_to(given.about[:, None])[:, 0]
         places = np.vstack([jump.pairs[number].places for number in numbers])
-        arms = np.abs(places - point[: places.shape[1]]).max(initial=0.0)
-        size = float(reduce_array(self._V.mesh.comm, arms, MPI.MAX)) or 1.0
+        (size,) = largest_sizes(self._V.mesh.comm, places - point[: places.shape[1]])
         load, result = np.append(given.force(), given.moment()), []
         for name in free:
             turns = name.startswith("r")
-            direction = np.eye(6)[FREEDOMS[3].index(name)] / (size if turns else 1.0)
+            direction = np.eye(6)[FREEDOMS[3].index(name)] / (size if turns and size else 1.0)
             label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
             force = float(load @ direction)
             result.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
         return result
 
     def note_pairing(self, jump: JumpOperator) -> None:
-        """Record distances and normals at the nodes of a newly computed B. Collective.
-
-        Raises:
-            InputError: a signed distance does not return distances and unit normals.
-        """
+        """Record distances and normals at the nodes of a newly computed B. Collective."""
         self._at_pairing = self._distances(jump)
 
     def _distances(self, jump: JumpOperator) -> list[Array]:
@@ -200,16 +162,8 @@ class Obstacles:
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rate of change (pairs,) of each pair's distances. Collective.
 
-        A change of a normal, times the extent of the mesh, counts as a change of a distance.
-
-        Args:
-            control: a Constant on which obstacles may depend.
-            direction: change of the control, an array of the shape of its value; None: one along
-                which any obstacle that depends on the control changes.
-            jump: the operator B, at whose nodes distances are compared.
-
-        Raises:
-            InputError: an obstacle depends on a control that is a Function.
+        A change of a normal, times the extent of the mesh, counts as a change of a distance. None
+        as direction stands for one along which any obstacle that depends on the control changes.
         """
         if direction is None:  # no small whole numbers, along which a plane might not move
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))
@@ -224,19 +178,13 @@ class Obstacles:
         if rates is None:
             return np.zeros(len(self._pairs))
         ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
-        largest = [np.abs(distances).max(initial=0.0) for distances in np.split(rates[0], ends)]
-        return np.asarray(reduce_array(comm, np.array(largest), MPI.MAX))
+        return np.array(largest_sizes(comm, *np.split(rates[0], ends)))
 
     def displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
         """Return the displacement of an obstacle at each node, since a former position.
 
-        At a node this is the displacement of the obstacle's material point that is at the node now.
-        Not collective.
-
-        Args:
-            before: (3, 4) former motion of the obstacle, as in `RigidMotion.matrix`.
-            after: (3, 4) present motion of the obstacle.
-            u: present displacement [length] of the nodes.
+        At a node this is the displacement of the obstacle's material point that is at the node now,
+        if the displacement of the nodes is u. Not collective.
         """
         dim = self._V.mesh.geometry.dim
         points = self._V.tabulate_dof_coordinates().T.copy()

@@ -135,12 +135,7 @@ class StepState:
 
     @classmethod
     def undeformed(cls, jump: JumpOperator, motions: Array) -> StepState:
-        """Return the state of undeformed bodies without load. Not collective.
-
-        Args:
-            jump: B.
-            motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`).
-        """
+        """Return the state of undeformed bodies without load. Not collective."""
         zeros, at_rest = np.zeros(len(jump.gap)), fem.Function(jump.system.V)
         accepted = AcceptedStep(zeros, None, None, motions, None)
         history = SlipHistory.none(jump)
@@ -159,10 +154,7 @@ class StepState:
     ) -> StepState:
         """Return the state after a load step with the present obstacles. Not collective.
 
-        Args:
-            history: slip and dissipation of the steps up to this one.
-            displacement: displacement of the step [length]; None: undeformed bodies.
-            accepted: further fields of `AcceptedStep` that differ from their present values.
+        Further arguments are fields of `AcceptedStep` that differ from their present values.
         """
         present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
         step = replace(self.accepted, displacement=displacement, **(present | accepted))
@@ -177,15 +169,7 @@ class StepState:
         )
 
     def acceptable(self, unconverged: bool) -> StepSolution:
-        """Return the last solution if it can be accepted. Not collective.
-
-        Args:
-            unconverged: whether to accept a solution that missed the requested accuracy.
-
-        Raises:
-            ContactError: nothing was solved since the last step.
-            ConvergenceError: the last solve failed.
-        """
+        """Return the last solution if it can be accepted, even unconverged. Not collective."""
         if self.solution is None or not self.pending:
             raise ContactError(
                 "there is no solution to accept: call solve() after each change of the loads, and "
@@ -208,8 +192,8 @@ class StepState:
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which a solve begins now. Collective.
 
-        Args:
-            depends_on_start: whether solutions may depend on the tractions at which a solve starts.
+        This is the last accepted step if the solution may depend on where its solve starts, unless
+        the user has changed the unknowns since.
         """
         if not depends_on_start or not self.history.begun or self.continues:
             return replace(self, continues=False)
@@ -229,16 +213,13 @@ class StepState:
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def paired_at(
-        self,
-        jump: JumpOperator,
-        u: fem.Function,
-        since_accepted: Sequence[bool] | Mask,
+        self, jump: JumpOperator, u: fem.Function, since_accepted: Sequence[bool] | Mask
     ) -> StepState:
         """Return the state on the B of displaced surfaces. Collective.
 
         Args:
             jump: B of the displaced surfaces.
-            u: displacement of the surfaces [length].
+            u: their displacement [length].
             since_accepted: for each pair, True: the slip of this step becomes the tangential jump,
                 between nodes and their present partners, of the displacement since the last
                 accepted step; False: nodes keep their slip so far.
@@ -289,15 +270,6 @@ def write_state(
     values at the contact nodes of each pair: a pressure and two vectors for each smooth patch of
     the surface to which the node belongs, since the tangents are arbitrary. The last solution is
     not written. The file appears when it is complete.
-
-    Args:
-        path: path of the file.
-        state: the state.
-        step: a number chosen by the user, such as the number of the load step.
-        material: Functions of the material's history.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     jump, history, accepted = state.jump, state.history, state.accepted
     places = surroundings(jump.system.V)
@@ -348,13 +320,9 @@ class SavedState:
     """
 
     def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
-        """Read a file. Collective.
+        """Read a file for a problem in its present state. Collective.
 
-        Args:
-            path: path of the file, the same on all ranks.
-            present: a state of the problem that goes on from the file.
-            material: Functions on the same spaces as the saved Functions of the material's history;
-                they are not changed.
+        The Functions of the material have the spaces of the saved ones, and are not changed.
 
         Raises:
             InputError: the file cannot be read, or belongs to another mesh or degree, to another
@@ -384,15 +352,7 @@ class SavedState:
         self._unknowns, self.material = functions[: len(unknowns)], functions[len(unknowns) :]
 
     def _check_sizes(self, pairs: int, components: list[int]) -> None:
-        """Check that the file has as many pairs and Functions as the problem. On the first rank.
-
-        Args:
-            pairs: number of pairs of the problem.
-            components: number of components of each of its Functions.
-
-        Raises:
-            InputError: the file is of another problem.
-        """
+        """Check that the file has the pairs and the components of Functions of the problem."""
         saved = [
             values.shape[1]
             for name, values in self._content.items()
@@ -408,15 +368,7 @@ class SavedState:
             )
 
     def _rows(self, table: str, places: Array) -> dict[str, Array]:
-        """Return column -> values (n, k) of a table at this rank's nodes. Collective.
-
-        Args:
-            table: name of the table.
-            places: (n, 2 d) `surroundings` of the nodes.
-
-        Raises:
-            InputError: all nodes of all ranks together are not those in the file.
-        """
+        """Return column -> values (n, k) of a table at the `surroundings` of nodes. Collective."""
         places_of_ranks = self._comm.gather(places)
         tables: list[dict[str, Array]] = [{} for _ in range(self._comm.size)]
         with errors_on_all_ranks(self._comm):
@@ -439,14 +391,7 @@ class SavedState:
         return dict(self._comm.scatter(tables))
 
     def state(self, present: StepState) -> StepState:
-        """Return the state in the file. Collective.
-
-        Args:
-            present: a state whose surfaces are paired at `configuration`, `geometry` and `motions`.
-
-        Raises:
-            InputError: the file belongs to other pairs or other kinds of laws.
-        """
+        """Return the state in the file, with surfaces paired as in the present one. Collective."""
         jump = present.jump
         for number, (saved, law) in enumerate(zip(self._laws, _laws(jump), strict=True)):
             if saved != law:
@@ -505,11 +450,7 @@ def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
 
 
 def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return the arrays in a file by their names. Not collective.
-
-    Raises:
-        InputError: the file cannot be read, or holds no state.
-    """
+    """Return the arrays in a file by their names. Not collective."""
     try:
         with path.open("rb") as stream:
             if not is_zipfile(stream):  # numpy would propose to load it unsafely
@@ -559,9 +500,6 @@ def surroundings(V: Any) -> Array:
     mean of the midpoints of the cells around the node, which distinguishes nodes of two bodies that
     touch. Together the positions identify a node on any partition, up to rounding, also on refined
     meshes, where the number of a node depends on the partition.
-
-    Args:
-        V: the space of a displacement, or of values at points of quadrature.
     """
     dim, cells = V.mesh.geometry.dim, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     points = V.tabulate_dof_coordinates()[:, :dim]
@@ -574,12 +512,7 @@ def surroundings(V: Any) -> Array:
 
 
 def same_nodes(saved: Array, asked: Array) -> Indices | None:
-    """Return for each node its row in a file; None if the nodes differ. Not collective.
-
-    Args:
-        saved: (n, 2 d) `surroundings` in the file.
-        asked: (n, 2 d) `surroundings` of the nodes.
-    """
+    """Return for each node its row in a file, by `surroundings`; None if the nodes differ."""
     if saved.shape != asked.shape:
         return None
     accuracy = SAME_PLACE * float(np.ptp(asked, axis=0).max() if len(asked) > 1 else 1.0)

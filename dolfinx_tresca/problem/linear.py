@@ -16,6 +16,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arguments import checked_number
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, warn
+from dolfinx_tresca._base.petsc import destroyed_on_error
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.finite_sliding import solve_with_finite_sliding
 from dolfinx_tresca.contact.step_state import StepSolution
@@ -153,9 +154,10 @@ class ContactProblem(ContactProcess):
                 cannot change its volume.
         """
         super().__init__(pairs, SolverOptions() if options is None else options, units)
-        linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
         request = SolverRequest(stiffness, petsc_options, petsc_options_prefix, expected_solves)
-        self._take(ContactSystem(linear, self.pairs, request))
+        linear = LinearSystem(a, L, bcs, entity_maps, V, axisymmetric)
+        with destroyed_on_error(linear):
+            self._take(ContactSystem(linear, self.pairs, request))
 
     @property
     def stiffness(self) -> PETSc.Mat:
@@ -182,30 +184,6 @@ class ContactProblem(ContactProcess):
         self._contact.check_not_destroyed()
         self._contact.linear.assemble_load()
         return self._contact.linear.f.x.petsc_vec
-
-    @collective(comm_of_self, extra_values=problem_to_agree)
-    def update_geometry(self, u: fem.Function) -> None:
-        """Pair the surfaces in the configuration displaced by u. Collective.
-
-        With small sliding, nodes keep their normals and their partners on the other side. After
-        this call, normals and partners are those in the configuration displaced by u, the gap at a
-        later displacement v is d - N (v - u) with the distance d of the displaced surfaces, and
-        stresses are forces divided by displaced areas. With `sliding="finite"`, each solve pairs
-        the surfaces in the configuration of its solution automatically. For an iteration of your
-        own, repeat `solve` and `update_geometry` within a load step until the forces do not change
-        any more, and then accept the step; with one call per step, the normals lag one step behind.
-        Slip, accepted steps and multipliers are kept, and K is not factored again; products with A
-        are dropped, since A changes. Bonded pairs do not change.
-
-        Args:
-            u: displacement [length] in the problem's space, usually the `u` of a solution.
-
-        Raises:
-            InputError: u is no Function of that space, or has values that are NaN or infinite.
-            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
-            StiffnessError: a solve with K failed.
-        """
-        self._contact.update_geometry(u)
 
     @collective(comm_of_self, extra_values=problem_to_agree)
     def update_stiffness(self) -> None:

@@ -8,15 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_integer, checked_number
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
 from dolfinx_tresca.dual.nodal_values import replaced
@@ -213,11 +211,7 @@ class EnergyBalance:
     """
 
     def __init__(self, problem: TangentProblem) -> None:
-        """Note displacement and contact forces at the end of the last solve. Collective.
-
-        Args:
-            problem: the problem before its surfaces are paired for the next solve.
-        """
+        """Note displacement and contact forces before the surfaces are paired anew. Collective."""
         state = problem.state
         self._problem = problem
         self._motions = state.motions, problem.obstacles.motions
@@ -240,22 +234,14 @@ class EnergyBalance:
         The energy is NaN if the solve did not start where the last one ended, or if internal forces
         cannot be computed on the straight path. If a function of the user computes them, it is
         called only where bodies move `FAR`, and the energy is NaN elsewhere. Collective.
-
-        Args:
-            start: values of u at which the solve started.
-            dissipation: D [energy].
-
-        Raises:
-            Exception: an error of the user's functions, on all ranks.
         """
         problem, tangent = self._problem, self._problem.tangent
         forces, work, driven = self._contact()
         change = problem.u.x.array - self._start
-        owned, moves = change[: len(forces)], tangent.moves
-        sizes = [np.abs(owned[rows]).max(initial=0.0) for rows in (moves, tangent.prescribed)]
+        owned = change[: len(forces)]
         starts_there = self._begins_at_end and np.array_equal(start, self._start)
-        moved, held, driven, elsewhere = reduce_array(
-            problem.comm, [*sizes, driven, float(not starts_there)], MPI.MAX
+        moved, held, driven, elsewhere = largest_sizes(
+            problem.comm, owned[tangent.moves], owned[tangent.prescribed], driven, not starts_there
         )
         is_far = moved > FAR * max(held, driven)
         if elsewhere or (tangent.has_material and not is_far):
@@ -374,13 +360,9 @@ class Newton:
         return text
 
     def _equilibrium(self) -> str:
-        """Take Newton steps to equilibrium for the present part of the load. Collective.
+        """Take Newton steps for the present part of the load; return why they failed. Collective.
 
-        Returns:
-            the reason of a failure; empty after a success.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
+        The text is empty after a success.
         """
         problem, norm, number = self.problem, math.inf, 0
         errors: list[float] = []  # of each step, divided by the requested error
@@ -493,10 +475,8 @@ class Newton:
         `MAX_ITERATIONS_FACTOR` times this number, or if the error falls fast enough: at its mean
         rate in the second half of the steps so far, it must reach the requested error by this
         larger number of steps. Rates are of the least errors so far, since Anderson's acceleration
-        makes errors of the configuration jump up and down.
-
-        Args:
-            errors: largest ratio of an error to the requested one, for each step.
+        makes errors of the configuration jump up and down. Errors are relative to the requested
+        ones.
         """
         most, number = self.options.max_iterations, len(errors)
         snaps = any(step.is_proximal for step in self.steps[-number:])

@@ -15,6 +15,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of, comm_of_self
 from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.parallel import agreed_observer, errors_on_all_ranks, warn
+from dolfinx_tresca._base.petsc import destroyed_on_error
 from dolfinx_tresca.contact.contact_system import inputs_changed
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.errors import ContactError, ConvergenceError, InputError, StiffnessError, shown
@@ -65,11 +66,7 @@ class NonlinearContactSolution(ContactSolution):
 
 
 def _check_options(options: Any, newton: Any) -> None:
-    """Check the options.
-
-    Raises:
-        InputError: an option has a wrong type, or is not available for nonlinear bodies.
-    """
+    """Check the options."""
     check_options(options)
     if options.balanced:
         raise InputError(
@@ -220,40 +217,18 @@ class NonlinearContactProblem(ContactProcess):
                 raise InputError(f"symmetrize needs J as a UFL form, found {shown(J)}.")
             J = 0.5 * (J + ufl.adjoint(J))
         self._F, self._is_symmetrized = F, symmetrize
-        tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         request = SolverRequest(stiffness, petsc_options, petsc_options_prefix)
-        self._take(TangentProblem(tangent, on_accept, self.pairs, request))
+        tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
+        with destroyed_on_error(tangent):
+            self._take(TangentProblem(tangent, on_accept, self.pairs, request))
         self._solves = 0
         self._level = 0
-
-    @collective(comm_of_self)
-    def update_geometry(self, u: fem.Function | None = None) -> None:
-        """Pair the surfaces in the configuration displaced by u. Collective.
-
-        See `ContactProblem.update_geometry`.
-
-        Args:
-            u: displacement [length]; None: the problem's present `u`.
-
-        Raises:
-            InputError: u is no displacement of the problem.
-            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
-            StiffnessError: a solve with the tangent failed.
-        """
-        self._contact.update_geometry(self._contact.displacement if u is None else u)
 
     def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
         Derivatives need this tangent, but the last assembled tangent belongs to the previous
         iterate. So a further Newton step is made. Error messages name the `purpose`.
-
-        Raises:
-            ContactError: nothing was solved since the last accepted step, or inputs have changed
-                since the solution.
-            InputError: F is on a mixed space, or `symmetrize` was requested.
-            ConvergenceError: the tangent at the solution is not positive definite without the
-                contact.
         """
         former, problem = super()._solved_for(purpose), self._contact
         if not problem.state.pending:

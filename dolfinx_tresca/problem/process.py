@@ -5,8 +5,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
@@ -20,15 +23,9 @@ from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import SavedState, StepSolution, write_state
+from dolfinx_tresca.derivatives import goals
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
-from dolfinx_tresca.derivatives.goals import (
-    ContactTangent,
-    as_derivatives,
-    checked_directions,
-    gradient,
-    tangent_of,
-    value_of,
-)
+from dolfinx_tresca.derivatives.goals import ContactTangent
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.dual.load_steps import SlipHistory
@@ -53,11 +50,7 @@ def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
 
 
 def check_options(options: Any) -> None:
-    """Check that options are `SolverOptions`. Not collective.
-
-    Raises:
-        InputError: they are not.
-    """
+    """Check that options are `SolverOptions`. Not collective."""
     advice = " Options of the solver for K go to petsc_options."
     check_type("options", options, SolverOptions, "SolverOptions(...)", advice)
 
@@ -182,6 +175,41 @@ class ContactProcess(PetscOwner, Tabulated):
             contact.advance_material(solution)
             contact.state = contact.state.after_solution(solution)
             contact.obstacles.place(contact.state.accepted.motions, only_held_by_forces=True)
+
+    @collective(comm_of_self, extra_values=problem_to_agree)
+    def update_geometry(self, u: fem.Function | None = None) -> None:
+        """Pair the surfaces in the configuration displaced by u. Collective.
+
+        With small sliding, nodes keep their normals and their partners on the other side. After
+        this call, normals and partners are those in the configuration displaced by u, the gap at a
+        later displacement v is d - N (v - u) with the distance d of the displaced surfaces, and
+        stresses are forces divided by displaced areas. With `sliding="finite"`, each solve pairs
+        the surfaces in the configuration of its solution automatically. For an iteration of your
+        own, repeat `solve` and `update_geometry` within a load step until the forces do not change
+        any more, and then accept the step; with one call per step, the normals lag one step behind.
+        If u is the displacement of the last solve, the load step stays the same, and the next solve
+        starts from the last tractions. Slip, accepted steps and multipliers are kept, and K is not
+        factored again; products with A are dropped, since A changes. Bonded pairs do not change.
+
+        Args:
+            u: displacement [length] in the problem's space; None: the displacement of the last
+                solution, or the present `u` of nonlinear bodies.
+
+        Raises:
+            InputError: u is no Function of that space, or has values that are NaN or infinite.
+            PairingError: the displaced surfaces cannot be paired; the problem stays as it was.
+            StiffnessError: a solve with K failed.
+            ContactError: the problem was destroyed, or there is no solution.
+        """
+        contact = self._contact
+        contact.check_not_destroyed()
+        u = contact.displacement if u is None else u
+        contact.linear.check_displacement("the displacement u of the surfaces", u)
+        solution = contact.solved
+        same = solution is not None and np.array_equal(solution.fields.u.x.array, u.x.array)
+        continues = self.comm.allreduce(same, op=MPI.LAND)
+        contact.pair_where_changed(u.copy(), u.copy())
+        contact.state = replace(contact.state, continues=continues)
 
     @collective(comm_of_self, extra_values=problem_to_agree)
     def set_slip_origin(self, u: fem.Function | None) -> None:
@@ -317,11 +345,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return saved.step
 
     def _check_material(self, material: Sequence[fem.Function]) -> None:
-        """Check the Functions of a material's history. Not collective.
-
-        Raises:
-            InputError: material is no list of Functions on the mesh.
-        """
+        """Check the Functions of a material's history. Not collective."""
         if not isinstance(material, Sequence) or not all(
             isinstance(function, fem.Function) and function.function_space.mesh is self.mesh
             for function in material
@@ -346,13 +370,11 @@ class ContactProcess(PetscOwner, Tabulated):
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._contact.solution_for("the value of a goal")
         jump = solved.dual.jump
-        return value_of(goal, jump, solved.multipliers, jump.of_displacement(solved.fields.u))
+        return goals.value_of(goal, jump, solved.multipliers, jump.of_displacement(solved.fields.u))
 
     @collective(comm_of_self)
     def gradient(
-        self,
-        goal: Goal | ufl.Form,
-        controls: Sequence[fem.Constant | fem.Function],
+        self, goal: Goal | ufl.Form, controls: Sequence[fem.Constant | fem.Function]
     ) -> list[Any]:
         """Return the derivatives of a goal of the last solution with respect to controls.
 
@@ -389,14 +411,12 @@ class ContactProcess(PetscOwner, Tabulated):
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         data = self._data_of_solution(controls)
-        goals = [(1.0, data.checked_goal(goal))]
-        return as_derivatives(gradient(data, goals, controls)[0], controls, self.comm)
+        gradient, *_ = goals.gradient(data, [(1.0, data.checked_goal(goal))], controls)
+        return goals.as_derivatives(gradient, controls, self.comm)
 
     @collective(comm_of_self)
     def tangent(
-        self,
-        controls: Sequence[fem.Constant | fem.Function],
-        directions: Sequence[Any],
+        self, controls: Sequence[fem.Constant | fem.Function], directions: Sequence[Any]
     ) -> ContactTangent:
         """Return the derivative of the last solution in a direction of controls. Collective.
 
@@ -420,17 +440,13 @@ class ContactProcess(PetscOwner, Tabulated):
                 of its loads.
         """
         data = self._data_of_solution(controls)
-        directions = checked_directions(controls, directions)
-        return tangent_of(data, self._contact.secondary, controls, directions)
+        directions = goals.checked_directions(controls, directions)
+        return goals.tangent_of(data, self._contact.secondary, controls, directions)
 
     def _data_of_solution(self, controls: Sequence[Any]) -> DataOfSolution:
         """Return the data of the last solution, to differentiate them by controls. Collective.
 
         The number of nodes at the edge of their state is logged.
-
-        Raises:
-            ContactError: see `gradient`.
-            InputError: see `gradient`.
         """
         self._check_pairing_fixed()
         solved = self._solved_for("a derivative")
@@ -486,11 +502,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return result
 
     def _check_pairing_fixed(self) -> None:
-        """Check that the pairing of surfaces does not depend on the solution. Not collective.
-
-        Raises:
-            InputError: a pair has finite sliding.
-        """
+        """Check that the pairing of surfaces does not depend on the solution. Not collective."""
         if self._contact.slides_far:
             raise InputError(
                 'a derivative is not known for pairs with sliding="finite": the pairing of their '
@@ -498,12 +510,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the last solve, with K at its displacement. Collective.
-
-        Derivatives and error estimates need this record.
-
-        Args:
-            purpose: name of the result that needs the solve, for errors.
+        """Return the last solve, with K at its displacement; errors name the purpose. Collective.
 
         Raises:
             ContactError: the problem was destroyed, or nothing was solved since it changed.
@@ -520,8 +527,4 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @abstractmethod
     def _residual_at(self, u: fem.Function) -> ufl.Form:
-        """Return internal minus external forces at u, a form of rank 1. Not collective.
-
-        Raises:
-            InputError: a form is no form of UFL.
-        """
+        """Return internal minus external forces at u, a form of rank 1. Not collective."""

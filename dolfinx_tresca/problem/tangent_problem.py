@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, collapse
 from dolfinx_tresca._base.functions import with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
@@ -76,18 +76,7 @@ class TangentSystem(LinearSystem):
     ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
-        Args:
-            J: derivative of F with respect to u.
-            F: residual form, internal minus external forces.
-            bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
-            u: displacement on which the forms depend, or all unknowns of a mixed space.
-            entity_maps: see `ContactProblem`.
-            before_assembly: function that computes further coefficients of the forms from u.
-            axisymmetric: whether the mesh is the meridian of bodies of revolution.
-            V: the sub-space of the displacement, if a mixed space has several candidates.
-
-        Raises:
-            InputError: forms, conditions and u do not fit together.
+        See `NonlinearContactProblem` for the arguments.
         """
         super().__init__(J, F, bcs, entity_maps, V, axisymmetric)
         if u.function_space != self.space:
@@ -144,12 +133,7 @@ class TangentSystem(LinearSystem):
         self._updated_at = u
 
     def check_functions(self) -> None:
-        """Check that Functions in the forms, other than u, are finite. Collective.
-
-        Raises:
-            InputError: a Function has values that are NaN or infinite.
-            StiffnessError: `before_assembly` has left such values.
-        """
+        """Check that Functions in the forms, other than u, are finite. Collective."""
         with errors_on_all_ranks(self.comm):
             fields = [field for field in self._functions if not np.isfinite(field.x.array).all()]
             names = ", ".join(map(shown, fields))
@@ -170,13 +154,7 @@ class TangentSystem(LinearSystem):
         return self.form is None or super().outdated
 
     def assemble_stiffness(self) -> None:
-        """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective.
-
-        Raises:
-            StiffnessError: K is not symmetric, or not finite; or see `update_material`.
-            InputError: the user's function changes u, or the form cannot be assembled.
-            Exception: an error of the user's function, on all ranks.
-        """
+        """Assemble the tangent at the present u_k, plus the stiffness `added`. Collective."""
         self.update_material()
         if self._tangent is not self.K:  # K is a sum with `added`: assemble the tangent alone
             self.K.destroy()
@@ -215,11 +193,7 @@ class TangentSystem(LinearSystem):
         self._initial_residual = self.residual(contact_forces)
 
     def residual(self, contact_forces: Array) -> Array:
-        """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective.
-
-        Args:
-            contact_forces: B'lambda on owned degrees of freedom, zero where prescribed.
-        """
+        """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective."""
         internal_forces = np.where(self.prescribed, 0.0, self.all_forces())
         remaining_load = (1.0 - self.fraction) * self._initial_residual
         return internal_forces + contact_forces - remaining_load
@@ -262,17 +236,6 @@ class TangentProblem(ContactSystem):
 
         The reference tangent is the tangent of the undeformed bodies; if the material has a
         history, it is the tangent at the displacement from which the present solve starts.
-
-        Args:
-            tangent: the linear system of a step. The problem owns it.
-            on_accept: see `NonlinearContactProblem`.
-            pairs: the contact pairs.
-            request: how to solve with the tangent.
-
-        Raises:
-            InputError: an argument is wrong.
-            PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric, or is indefinite.
         """
         self.tangent, self.u, self._on_accept = tangent, tangent.u, on_accept
         self._has_history = tangent.has_material or on_accept is not None
@@ -295,13 +258,7 @@ class TangentProblem(ContactSystem):
         return self.tangent.displacement(self.u, self.u.name)
 
     def advance_material(self, solution: StepSolution) -> None:
-        """Make the material's state at a solution the history. Collective.
-
-        Raises:
-            ContactError: the forces at u have changed since the solve, for example through another
-                history.
-            Exception: an error of the user's functions, on all ranks.
-        """
+        """Make the material's state at a solution the history. Collective."""
         if not self._has_history:
             return
         w, is_converged = solution.fields.w, solution.status is ContactStatus.CONVERGED
@@ -357,10 +314,8 @@ class TangentProblem(ContactSystem):
 
         The springs pull to the jumps t that contact prescribes, the gap and the slip origin: their
         forces B_a'C (t - B_a u_k) are added to the load. So they exert no force where contact
-        holds, and do not change the solution of the step there.
-
-        Args:
-            factor: stiffness C of each spring, relative to the stiffness of the row's node.
+        holds, and do not change the solution of the step there. The factor is the stiffness C of a
+        spring relative to the stiffness of the row's node.
         """
         jump, tangent = self.jump, self.tangent
         u = fem.Function(tangent.space)
@@ -407,7 +362,7 @@ class TangentProblem(ContactSystem):
             held[lam.tangential] = sticks[lam.node]
             return held
         jumps = jump.of_unknowns(self.u.x.petsc_vec)
-        largest = reduce_array(self.comm, np.abs(jumps).max(initial=0.0), MPI.MAX)
+        (largest,) = largest_sizes(self.comm, jumps)
         held[lam.normal] = (jump.gap - jumps)[lam.normal] <= TOUCHING * largest
         held[lam.tangential] = False
         return held
@@ -431,9 +386,6 @@ class TangentProblem(ContactSystem):
 
         Tangent vectors are rotated to the axes of the slip bounds only here, and not in Newton
         steps.
-
-        Raises:
-            InputError: a coefficient of the forms or a slip bound is wrong.
         """
         before = self.state.motions
         self.begin_solve()
@@ -511,9 +463,7 @@ class TangentProblem(ContactSystem):
     def is_large(self, error: float, *displacements: Array) -> bool:
         """Return whether an error is more than that of a rough solution or of rounding. Collective.
 
-        Args:
-            error: an `energy_norm`; NaN is large.
-            displacements: values of u to which the error is compared, with ghosts.
+        The error is an `energy_norm`, and NaN is large. It is compared to values of u, with ghosts.
         """
         size = max(map(self.energy_norm, displacements))
         limit = max(ROUGH * size, self.rounding_norm())
@@ -558,10 +508,7 @@ class TangentProblem(ContactSystem):
         return self.tangent.displacement(forces, "unbalanced")
 
     def function_at_nodes(self, name: str, values: Array) -> fem.Function:
-        """Return a function with values (owned nodes,) at the nodes of the displacement.
-
-        Collective.
-        """
+        """Return a scalar Function with values at owned nodes of the displacement. Collective."""
         space, dofs = collapse(self.tangent.V.sub(0))
         owned = dofs[: space.dofmap.index_map.size_local]
         return with_owned_values(space, values[owned // self.tangent.V.dofmap.bs], name)

@@ -15,7 +15,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
@@ -126,15 +126,8 @@ def evaluate(
 ) -> tuple[Evaluation, SlipHistory]:
     """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
 
-    Args:
-        dual: the dual problem.
-        surfaces: secondary surfaces of the pairs.
-        bodies: bodies of the mesh.
-        solution: solution of the dual problem.
-        estimate: whether to estimate the discretisation error.
-
-    Returns:
-        the evaluation, and the slip history after this solution if it becomes a load step.
+    The discretisation error is estimated on request. The slip history that is returned is the one
+    after this solution, if it becomes a load step.
     """
     B, response, comm = dual.jump, dual.response, dual.jump.comm
     lam = dual.bounds(solution.multipliers, solution.gradient)
@@ -168,9 +161,8 @@ def evaluate(
     states, steps, before, counts = node_values(dual, normal, moved, target, moved_by, change)
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
-    at_pressed = stress[normal], lengths[pressed], paths[pressed]
-    largest = [values.max(initial=0.0) for values in at_pressed]
-    peak_pressure, greatest_slip, greatest_total_slip = reduce_array(comm, largest, MPI.MAX)
+    at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
+    peak_pressure, greatest_slip, greatest_total_slip = largest_sizes(comm, *at_pressed)
     in_space = zero_like(B.system.f, "f")
     owned = -B.whole_force(solution.multipliers).array
     in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
@@ -181,25 +173,24 @@ def evaluate(
     on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
     pairs = B.by_pair
     fields: list[SurfaceFields] = []
-    pair_states: list[PairState] = []
-    pair_resultants: list[Resultant] = []
+    openings: list[float] = []
     forces: list[Array] = []
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)  # normal, and tangential vector
-    for pair, surface in zip(pairs, surfaces, strict=True):
+    numbers = [(len(p.nodes), pressed[p.nodes].sum(), len(p.tangential)) for p in pairs]
+    node_counts, pressed_counts, tangential_counts = reduce_array(comm, numbers).T.tolist()
+    for pair, surface, tangential_count in zip(pairs, surfaces, tangential_counts, strict=True):
         operators, nodes = pair.operators, pair.nodes
-        pressure, state = np.zeros(len(nodes)), states[nodes]
+        pressure = np.zeros(len(nodes))
         pressure[operators.normal_node] = stress[pair.normal]
         values = {
             "pressure": pressure,
             "gap": operators.gap - closing[nodes],
             "initial_gap": operators.gap,
-            "state": state,
+            "state": states[nodes],
             "normal": operators.normals,
         }
         traction = operators.tangential_vectors(stress[pair.tangential])
-        numbers = [len(nodes), int(pressed[nodes].sum()), len(operators.tangent_node)]
-        node_count, pressed_count, tangential = map(int, reduce_array(comm, numbers))
-        if tangential > 0:
+        if tangential_count > 0:
             since = operators.tangential_vectors(increment[pair.tangential])
             values["traction"] = traction
             values["slip"] = before[nodes, :-1] + since
@@ -207,19 +198,19 @@ def evaluate(
             if dual.history.begun:
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
-        opened = (values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0)
-        opening = float(reduce_array(comm, opened, MPI.MAX))
-        pair_states.append(PairState(pressed_count, node_count, opening))
+        openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
         force += operators.weights @ np.column_stack([pressure, traction])
         vectors = pressure[:, None] * operators.normals + traction
         forces.append(-operators.weights[:, None] * vectors)
-        index = np.zeros(len(nodes), dtype=np.intp)
-        pair_resultants += resultants_on(
-            comm, operators.places, forces[-1], index, 1, on_bodies[0].point
-        )
     steps_of_pairs = [steps[nodes] for nodes in B.nodes]
     history = replace(dual.history, origin=origin).after(B, slip, steps_of_pairs, dissipation)
     resultant = reduce_array(comm, force)
+    places = np.vstack([pair.operators.places for pair in pairs])
+    index = np.repeat(np.arange(len(pairs)), [len(pair.nodes) for pair in pairs])
+    point = on_bodies[0].point
+    on_pairs = resultants_on(comm, places, np.vstack(forces), index, len(pairs), point)
+    openings = largest_sizes(comm, *openings)
+    pair_states = map(PairState, pressed_counts, node_counts, openings)
     primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
     if B.frames is not None:
         work = B.frames.work(B.system.assemble_forces())
@@ -257,16 +248,16 @@ def evaluate(
         counts=counts,
         normal_force=float(resultant[0]),
         tangential_force=float(np.linalg.norm(resultant[1:])),
-        pair_resultants=tuple(pair_resultants),
+        pair_resultants=on_pairs,
         pair_states=tuple(pair_states),
         body_resultants=on_bodies,
         between_bodies=resultants_between(
             u.function_space, bodies.label, [pair.operators for pair in pairs], forces
         ),
         body_names=bodies.names,
-        peak_pressure=float(peak_pressure),
-        greatest_slip=float(greatest_slip),
-        greatest_total_slip=float(greatest_total_slip),
+        peak_pressure=peak_pressure,
+        greatest_slip=greatest_slip,
+        greatest_total_slip=greatest_total_slip,
         reactions={},
     )
     return evaluation, history
@@ -284,7 +275,7 @@ def node_values(
 
     Args:
         dual: the dual problem.
-        normal: positions of the normal multipliers of all pairs.
+        normal: positions of the normal multipliers.
         moved: feasible set at each node's own minimiser, see `DualProgram.decoupled_minimiser`.
         target: (size,) the minimisers.
         moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
@@ -331,17 +322,10 @@ def node_values(
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """Return the largest change of a slip bound, relative to the largest bound. Collective.
 
-    Args:
-        lam: feasible set with the bounds of a solution.
-        moved: feasible set with the bounds after the tractions of each node have moved to the
-            node's own minimiser, see `DualProgram.decoupled_minimiser`.
-        comm: the communicator.
+    The bounds change as the tractions of each node move to the node's own minimiser, see
+    `DualProgram.decoupled_minimiser`.
     """
-    before, after = lam.radius, moved.radius
-    finite = np.isfinite(before)
-    sizes = [
-        np.abs(after[finite] - before[finite]).max(initial=0.0),
-        before[finite].max(initial=0.0),
-    ]
-    change, largest = reduce_array(comm, sizes, MPI.MAX)
-    return float(change / largest) if largest > 0.0 else float(change > 0.0)
+    finite = np.isfinite(lam.radius)
+    before, after = lam.radius[finite], moved.radius[finite]
+    change, largest = largest_sizes(comm, after - before, before)
+    return change / largest if largest > 0.0 else float(change > 0.0)

@@ -269,12 +269,8 @@ class Surface:
     ) -> SurfaceFields:
         """Return the fields of a solution. Collective.
 
-        Args:
-            operators: operators of the pair.
-            u: displacement [length], with ghosts.
-            values: name of each further field in `SurfaceFields` -> its values (n,) or (n, d) at
-                the nodes of the pair. Fields of friction, and the slip of a first step, may be
-                absent.
+        The keys of the values (n,) or (n, d) at the nodes of the pair are names of fields in
+        `SurfaceFields`. Fields of friction, and the slip of a first step, may be absent.
         """
         functions: dict[str, Any] = dict.fromkeys(("traction", "slip", "slip_path"))
         functions |= {
@@ -302,20 +298,13 @@ class Surface:
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
-    """Return slip vectors and paths from a solution on another mesh. Collective.
+    """Return slip vectors and paths (n, d + 1) [length] from a solution on another mesh, by pair.
 
     They are interpolated on the nearest facets, of the facets that have a node with multipliers.
     Nodes of the other mesh without a multiplier have no slip and are left out of the interpolation.
     At points on the facets linear fields are reproduced exactly, for instance at the midpoints of
     edges, where refined meshes have nodes. Values are zero at points whose distance from the
-    surface exceeds the longest edge of the surface.
-
-    Args:
-        surfaces: fields of the solution on the other mesh, one for each pair.
-        jump: the operator B on the new mesh.
-
-    Returns:
-        slip vectors and lengths of paths (n, d + 1) at the nodes of each pair [length].
+    surface exceeds the longest edge of the surface. Collective.
     """
     x = jump.system.V.tabulate_dof_coordinates()
     counts = [len(pair.nodes) for pair in jump.pairs]
@@ -344,10 +333,6 @@ def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
     """Return distance, slip vector and path (n, d + 2) at the points of facets nearest to points.
 
     The facets are those of this rank; without any, distances are infinite. Not collective.
-
-    Args:
-        fields: fields of a solution on any mesh, with friction.
-        points: (n, 3) coordinates of the points [length].
     """
     mesh, V = fields.mesh, fields.pressure.function_space
     assert fields.slip is not None and fields.slip_path is not None

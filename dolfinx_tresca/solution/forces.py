@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -76,15 +76,9 @@ def moments(arm: Array, force: Array) -> Array:
 def resultants_on(
     comm: Any, places: Array, forces: Array, index: Indices, number: int, point: Array
 ) -> tuple[Resultant, ...]:
-    """Return resultants of forces about a point. Collective.
+    """Return resultants of forces (n, d) at places (n, d), with moments about a point. Collective.
 
-    Args:
-        comm: communicator of the mesh.
-        places: (n, d) points of application of this rank's forces [length].
-        forces: (n, d) the forces.
-        index: (n,) the index of the resultant to which each force belongs.
-        number: number of resultants.
-        point: (d,) reference point of the moments [length].
+    The index (n,) says to which of the resultants, of a given number, each force belongs.
     """
     both = np.hstack([forces, moments(places - point, forces)])
     sums = np.zeros((number, both.shape[1]))
@@ -99,14 +93,8 @@ def nodal_resultants(
     """Return resultants of nodal forces about the middle of their points. Collective.
 
     This is the centre of the bounding box of all points with forces; without forces, the origin.
-
-    Args:
-        V: the space of the displacement.
-        forces: (n d,) forces at the degrees of freedom that this rank owns.
-        displaced: displacement [length] of the nodes on which the forces act; None: the forces act
-            on the undeformed bodies, as in linear theory.
-        index: (n,) the index of the resultant to which the force of each node belongs.
-        number: number of resultants.
+    Forces are those at owned degrees of freedom. They act on the displaced nodes, or with None on
+    the undeformed bodies, as in linear theory; see `resultants_on` for index and number.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     rows = forces.reshape(-1, dim)
@@ -127,12 +115,8 @@ def resultants_between(
 
     Forces of obstacles, and forces within a body, are left out. Moments are about the mean of the
     points at which the forces between the two bodies act, weighted by the sizes of the forces.
-
-    Args:
-        V: the space of the displacement.
-        label: (owned nodes of V,) the body of each node.
-        pairs: the operators of the pairs.
-        forces: for each pair (n, d) contact forces on its secondary nodes [force].
+    Forces (n, d) are those on the secondary nodes of each pair, and the label (owned nodes,) is the
+    body of each node.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     # opposite primary nodes exert a share of the force on a secondary node
@@ -187,23 +171,10 @@ class Supports:
         moved: fem.Function | None = None,
         frames: BodyFrames | None = None,
     ) -> Resultant:
-        """Return the force and moment that a support exerts on the bodies. Collective.
+        """Return the force and moment of a support, see `ContactProcess.reaction`. Collective.
 
-        At prescribed degrees of freedom the forces of the support balance internal forces, loads
-        and contact. Springs are the terms of the forms over facets with the tag in which u occurs.
-
-        Args:
-            where: the tag of a surface, or a Dirichlet condition of the problem.
-            point: (d,) reference point of the moment [length]; None: the middle of all these
-                forces.
-            moved: displacement of the places at which forces act [length]; None: the undeformed
-                places.
-            frames: the frames of linear bodies that have turned; None: there are none.
-
-        Raises:
-            InputError: `where` is neither of both, no facet has the tag, nothing holds it, or the
-                forms are on a mixed space.
-            ContactError: loads or coefficients have changed since the solution.
+        Forces act at the places that have moved, or with None at the undeformed places. The frames
+        are those of linear bodies that have turned.
         """
         V, u = self.contact_force.function_space, self.u
         if u.function_space.element != V.element:
@@ -217,9 +188,8 @@ class Supports:
             forces = frames.into_space(forces - loads) + loads
         forces -= self.contact_force.x.array[: len(forces)]
         free = ~self.system.prescribed
-        sizes = [np.abs(values).max(initial=0.0) for values in (forces[free], forces)]
-        sizes.append(np.abs(self.contact_force.x.array).max(initial=0.0))
-        unbalanced, *largest = reduce_array(V.mesh.comm, sizes, MPI.MAX)
+        contact = self.contact_force.x.array
+        unbalanced, *largest = largest_sizes(V.mesh.comm, forces[free], forces, contact)
         # solutions of the default accuracy leave less than a hundredth of this
         if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding():
             raise ContactError(
@@ -252,21 +222,13 @@ class Supports:
         opposite.x.array[:] = u.x.array * (1.0 - 2.0 * parity)
         opposite.x.scatter_forward()
         forces = self._at_nodes(ufl.derivative(self.residual, u, opposite))
-        largest = reduce_array(u.function_space.mesh.comm, np.abs(forces).max(initial=0.0), MPI.MAX)
-        return 1e-10 * float(largest)
+        (largest,) = largest_sizes(u.function_space.mesh.comm, forces)
+        return 1e-10 * largest
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:
-        """Return the nodes that a support holds, and its springs. Collective.
+        """Return whether a support holds each owned degree of freedom, and its springs. Collective.
 
-        Args:
-            where: see `reaction`.
-
-        Returns:
-            (owned dofs,) whether the support holds the degree of freedom; and the terms of its
-            springs in the residual, None if it has no springs.
-
-        Raises:
-            InputError: see `reaction`.
+        The springs are their terms in the residual; None: there are none.
         """
         V = self.contact_force.function_space
         held = np.zeros(len(self.system.prescribed), dtype=np.bool_)

@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, dots, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
-from dolfinx_tresca._base.parallel import RankReductions, reduce_array, warn
+from dolfinx_tresca._base.parallel import RankReductions, largest_sizes, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.facets import FACING_COSINE, Facets
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -86,12 +86,7 @@ class Departure(NamedTuple):
 def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set[Limit]) -> str:
     """Return why a solution is outside of the theory; empty if it is inside. Collective.
 
-    Departures within the limits are logged once.
-
-    Args:
-        comm: communicator of the mesh.
-        departures: measures of the solution, of which those beyond `limit.noticed` count.
-        noticed: the limits whose departures were logged; this call adds to them.
+    Departures within the limits are logged once: `noticed` has the limits of those that were.
     """
     departures = comm.bcast([each for each in departures if each.value > each.limit.noticed])
     outside = [departure for departure in departures if departure.value > departure.limit.largest]
@@ -105,14 +100,7 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
-    """Return the departures of the body that turns most, and of the one that deforms most.
-
-    Collective.
-
-    Args:
-        u: displacement [length].
-        bodies: bodies of the mesh.
-    """
+    """Return the departures of the bodies that turn and that deform most. Collective."""
     comm, values, label = u.function_space.mesh.comm, owned_values(u), bodies.label
     dim, sums = values.shape[1], RankReductions(comm)
     size = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
@@ -149,15 +137,9 @@ def motions_of_pairs(
     """Return the departures of pairs with small sliding. Collective.
 
     Pairs with finite sliding, bonded pairs, and pairs with a plane, which has the same normal
-    everywhere, are left out, except for the rotation of obstacles that forces hold.
-
-    Args:
-        jump: the operator B.
-        pairs: the pairs.
-        u: displacement of the solution [length].
-        paired: displacement at which the surfaces were paired [length].
-        tractions: (size,) tractions of the solution [stress].
-        places: (pairs, 3, 4) motions of obstacles in the solution.
+    everywhere, are left out, except for the rotation of obstacles that forces hold. The surfaces
+    were paired at the displacement `paired`. In the solution u, tractions are (size,) [stress], and
+    obstacles have the motions (pairs, 3, 4).
     """
     V, moved = u.function_space, u.copy()
     moved.x.array[:] -= paired.x.array
@@ -182,13 +164,7 @@ def motions_of_pairs(
 
 
 def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
-    """Return the displacements (n, d) of points (n, d) that go with an obstacle. Not collective.
-
-    Args:
-        places: positions at the start [length].
-        start: the motion of the obstacle at the start.
-        end: motion of the obstacle at the end.
-    """
+    """Return the displacements (n, d) of places (n, d) that go with an obstacle."""
     points = in_space(places).T
     return (end.applied_to(start.reversed_from(points)) - points).T[:, : places.shape[1]]
 
@@ -249,16 +225,7 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
 def hint_at_scene(
     V: Any, pairs: Sequence[ContactPair], operators: Sequence[PairOperators], bodies: Bodies
 ) -> None:
-    """Log likely mistakes in the contact pairs. Collective.
-
-    These mistakes are overlaps as deep as a body, and pairs with both sides on one body.
-
-    Args:
-        V: space of the displacement.
-        pairs: the pairs.
-        operators: operators of the pairs.
-        bodies: bodies of the mesh.
-    """
+    """Warn of overlaps as deep as a body, and of pairs with both sides on one body. Collective."""
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
@@ -296,14 +263,11 @@ def hint_at_overlap(
 ) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective.
 
-    Args:
-        u: displacement of a solution [length].
-        pairs: the pairs.
-        jump: jumps of these pairs.
-        surfaces: fields of these pairs, with the places of obstacles that forces have moved.
+    The fields of the surfaces have the places of obstacles that forces have moved.
     """
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
-    rounding = ROUNDING * comm.allreduce(float(np.abs(points).max(initial=0.0)), op=MPI.MAX)
+    (extent,) = largest_sizes(comm, points)
+    rounding = ROUNDING * extent
     for pair, paired, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
@@ -338,7 +302,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     that elastic bodies need for one more unit of slip.)
 
     Args:
-        comm: communicator of the mesh.
+        comm: the communicator.
         cones: friction cones whose bounds F(p, v) p are evaluated at the slips of a solution.
         x: (size,) multipliers of the solution.
         compliance: the largest eigenvalue of A, or a lower bound.

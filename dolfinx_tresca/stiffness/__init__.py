@@ -15,5 +15,5 @@
 | M | `StiffnessSolver.preconditioner` | preconditioner; `uncertainty` bounds what r'M^-1 r misses |
 
 Read first: `system.LinearSystem.assemble_stiffness`, `solver.StiffnessSolver.improve`,
-`choice.choose`.
+`choice.SolverRequest.choose`.
 """

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 from mpi4py import MPI
 
-from dolfinx_tresca._base.arguments import check_word, checked_integer
+from dolfinx_tresca._base.arguments import check_type, check_word, checked_integer
 from dolfinx_tresca._base.parallel import log, warn
 from dolfinx_tresca.errors import InputError
 
@@ -39,64 +39,63 @@ class SolverRequest:
 
     Attributes:
         method: "cholesky", "multigrid" or "auto".
-        petsc_options: PETSc options of the solver for K, with precedence over the defaults.
+        petsc_options: PETSc options of the solver for K, with precedence over the defaults; None:
+            there are none.
         prefix: prefix of the options that the command line gives to this solver; None: there is
             none.
-        expected_solves: number of solves with the same K, approximately.
+        expected_solves: number of contact solves with the same K, approximately.
     """
 
-    method: StiffnessMethod
-    petsc_options: Mapping[str, Any] | None
-    prefix: str | None
+    method: StiffnessMethod = "auto"
+    petsc_options: Mapping[str, Any] | None = None
+    prefix: str | None = None
     expected_solves: int = 1
 
+    def __post_init__(self) -> None:
+        """Check every value."""
+        check_word("stiffness", self.method, get_args(StiffnessMethod))
+        names = 'a mapping from names, such as {"ksp_rtol": 1e-8}'
+        check_type("petsc_options", self.petsc_options, Mapping | None, names)
+        for key in self.petsc_options or ():
+            check_type("a name in petsc_options", key, str, "a string")
+        check_type("petsc_options_prefix", self.prefix, str | None, "a string")
+        if self.prefix is not None and self.prefix.startswith("-"):
+            raise InputError(f"petsc_options_prefix has no leading hyphen, found '{self.prefix}'.")
+        solves = checked_integer("expected_solves", self.expected_solves)
+        object.__setattr__(self, "expected_solves", solves)
 
-def choose(
-    method: StiffnessMethod,
-    size: float,
-    dim: int,
-    expected_solves: int,
-    comm: Any,
-    *,
-    saddle: bool = False,
-) -> tuple[ChosenMethod, str]:
-    """Return the name of the solver for K, and the reason for the choice. Not collective.
+    def choose(
+        self, size: float, dim: int, comm: Any, *, saddle: bool = False
+    ) -> tuple[ChosenMethod, str]:
+        """Return the name of the solver for K, and the reason for the choice. Not collective.
 
-    The choice is logged if the method is "auto".
+        The choice is logged if the method is "auto".
 
-    Args:
-        method: the requested method.
-        size: number of degrees of freedom of a body, averaged over the degrees of freedom instead
-            of over the bodies, so that large bodies decide.
-        dim: dimension of space.
-        expected_solves: expected number of contact solves with the same K.
-        comm: communicator of the log.
-        saddle: whether K belongs to a mixed space.
-
-    Raises:
-        InputError: the method is unknown or unsuitable for a mixed space, or the number of solves
-            is not positive.
-    """
-    solves = checked_integer("expected_solves", expected_solves)
-    check_word("stiffness", method, get_args(StiffnessMethod))
-    if method == "multigrid" and saddle:
-        raise InputError(
-            "stiffness='multigrid' needs a positive definite K, not one of a mixed space. Take "
-            "'cholesky', or the displacement alone, with a lower quadrature_degree."
+        Args:
+            size: number of degrees of freedom of a body, averaged over the degrees of freedom
+                instead of over the bodies, so that large bodies decide.
+            dim: dimension of space.
+            comm: communicator of the log.
+            saddle: whether K belongs to a mixed space.
+        """
+        if self.method == "multigrid" and saddle:
+            raise InputError(
+                "stiffness='multigrid' needs a positive definite K, not one of a mixed space. Take "
+                "'cholesky', or the displacement alone, with a lower quadrature_degree."
+            )
+        if self.method != "auto":
+            return self.method, "requested"
+        # each further solve adds a half, until factors would take too much memory
+        limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (self.expected_solves + 1), 5.0))
+        chosen: ChosenMethod = "cholesky" if saddle or size <= limit else "multigrid"
+        reason = (
+            f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
+            f"(limit for {self.expected_solves} solve(s) in {dim}D)"
         )
-    if method != "auto":
-        return method, "requested"
-    # each further solve adds a half, until factors would take too much memory
-    limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (solves + 1), 5.0))
-    chosen: ChosenMethod = "cholesky" if saddle or size <= limit else "multigrid"
-    reason = (
-        f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
-        f"(limit for {solves} solve(s) in {dim}D)"
-    )
-    if saddle:
-        reason = "since multigrid needs a positive definite K"
-    log(comm, "stiffness: %s, %s", chosen, reason)
-    return chosen, reason
+        if saddle:
+            reason = "since multigrid needs a positive definite K"
+        log(comm, "stiffness: %s, %s", chosen, reason)
+        return chosen, reason
 
 
 #: Environment variables by which users set the number of OpenBLAS's threads.

@@ -33,19 +33,9 @@ from dolfinx_tresca.errors import InputError, StiffnessError
 
 
 def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) -> Any:
-    """Return a compiled form. Collective.
+    """Return a form of UFL compiled, and any other object unchanged. Collective.
 
-    Compiled forms, matrices and None are returned unchanged.
-
-    Args:
-        name: name of the form in errors.
-        form: UFL form, compiled form, matrix or None.
-        mesh: mesh of the problem.
-        entity_maps: entity maps of Functions on other meshes in the form.
-
-    Raises:
-        InputError: DOLFINx cannot compile the form, the form depends on Functions on a mesh without
-            an entity map, or an integral is over tagged entities of another mesh.
+    Functions on other meshes than the problem's need entity maps. Errors name the form.
     """
     if not isinstance(form, ufl.Form):
         return form
@@ -133,14 +123,14 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         raise InputError(
             "the space of the displacement is not known: a and L are not forms of UFL, so give V=."
         )
-    if forms:
-        space = forms[-1].arguments()[-1].ufl_function_space()
-        V = space if V is None or _is_part(V, space) else V
-    if any(space is not V._cpp_object for form in (a, L) for space in _spaces(form)):
+    space = forms[-1].arguments()[-1].ufl_function_space() if forms else V
+    if V is not None and not _is_part(V, space):
+        space = V
+    if any(each is not space._cpp_object for form in (a, L) for each in _spaces(form)):
         raise InputError(
             "the arguments of a and L are from different function spaces, or not from V."
         )
-    mesh = V.mesh
+    mesh = space.mesh
     fields = [field for form in forms for field in (*form.coefficients(), *form.constants())]
     for name, typed in (("the mesh", mesh.geometry.x), *zip(map(str, fields), fields, strict=True)):
         if typed.dtype != np.float64:
@@ -158,11 +148,11 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         kind = "a Dirichlet condition of type float64, as dolfinx.fem.dirichletbc(...) makes it"
         condition = getattr(bc, "_cpp_object", bc)
         check_type(f"bcs[{number}]", condition, DirichletBC_float64, kind)
-        if not contains(V, bc):
+        if not contains(space, bc):
             raise InputError(
                 f"bcs[{number}] is on another function space than the forms: take V, or V.sub(i)."
             )
-    return V
+    return space
 
 
 def _spaces(form: Any) -> Sequence[Any]:
@@ -181,13 +171,7 @@ def _is_part(V: Any, space: Any) -> bool:
 def component_index(space: Any, V: Any = None) -> int | None:
     """Return the index of the displacement's sub-space; None if the space is not mixed.
 
-    Args:
-        space: function space of the forms.
-        V: the requested sub-space; None: the only sub-space that suits displacements.
-
-    Raises:
-        InputError: no sub-space suits displacements, or several do, or the requested sub-space does
-            not.
+    This is V, or without V the only sub-space that suits displacements.
     """
     dim, element = space.mesh.geometry.dim, space.ufl_element()
     if _suits(element, dim):
@@ -233,12 +217,7 @@ class Component:
     """
 
     def __init__(self, space: Any, index: int) -> None:
-        """Collapse the sub-space, which gives its degrees of freedom other numbers. Collective.
-
-        Args:
-            space: the mixed space.
-            index: index of the sub-space in the mixed space.
-        """
+        """Collapse a sub-space, which gives its degrees of freedom other numbers. Collective."""
         self.comm = space.mesh.comm
         self.V, self.dofs = collapse(space.sub(index))
         self._original = fem.Function(self.V)
@@ -254,19 +233,13 @@ class Component:
         self._parts.destroy()
 
     def extract(self, w: fem.Function) -> fem.Function:
-        """Return this component of a Function w on the mixed space. Not collective.
-
-        The ghost values of w must be up to date.
-        """
+        """Return this component of w, whose ghost values must be up to date. Not collective."""
         component = zero_like(self._original, w.name)
         component.x.array[:] = w.x.array[self.dofs]
         return component
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Convert a matrix B from the columns of V to the columns of the mixed space. Collective.
-
-        The caller owns the new matrix.
-        """
+        """Return B, with the columns of V, with those of the mixed space; owned by the caller."""
         return B.matMult(self._parts)
 
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -276,15 +249,7 @@ class Component:
 
 
 def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
-    """Return a copy of a matrix of any type, in the type of DOLFINx's matrices. Collective.
-
-    Args:
-        K: the matrix.
-        V: the space to which its rows and columns belong.
-
-    Raises:
-        InputError: the matrix was destroyed, has another size, or is not assembled.
-    """
+    """Return a copy of a matrix on V of any type, in the type of DOLFINx's. Collective."""
     if not K.handle:
         raise InputError("the matrix a was destroyed: keep it as long as the problem assembles K.")
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
@@ -302,11 +267,7 @@ def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
 
 
 def check_meridian(mesh: Any) -> None:
-    """Check that a mesh is the meridian of bodies of revolution about the axis x = 0. Collective.
-
-    Raises:
-        InputError: the mesh is not in 2D, or has negative radii.
-    """
+    """Check that a mesh is the meridian of bodies about the axis x = 0. Collective."""
     dim, radii = mesh.geometry.dim, mesh.geometry.x[:, 0]
     least, largest = reduce_array(
         mesh.comm, [radii.min(initial=np.inf), -np.abs(radii).max(initial=0.0)], MPI.MIN
@@ -320,13 +281,9 @@ def check_meridian(mesh: Any) -> None:
 
 
 def check_hoop_stiffness(K: PETSc.Mat) -> None:
-    """Check that an axisymmetric K resists a radial translation. Collective.
+    """Check that an axisymmetric K, without Dirichlet conditions, resists a radial translation.
 
-    Args:
-        K: stiffness matrix of the displacement, before Dirichlet conditions are eliminated.
-
-    Raises:
-        InputError: K does not resist the translation: the form describes a plane body.
+    Collective.
     """
     motion, force = K.createVecs()
     motion.array = np.tile([1.0, 0.0], motion.local_size // 2)
@@ -342,12 +299,7 @@ def check_hoop_stiffness(K: PETSc.Mat) -> None:
 def check_symmetry(K: PETSc.Mat, cure: str) -> None:
     """Check that K x = K'x for an oscillating vector x, which is cheaper than K - K'. Collective.
 
-    Args:
-        K: stiffness matrix.
-        cure: advice for the message.
-
-    Raises:
-        StiffnessError: K is not symmetric.
+    The message ends with the cure.
     """
     x, Kx = K.createVecs()
     x.array = np.cos(12.9898 * np.arange(*x.getOwnershipRange()))
@@ -366,15 +318,8 @@ def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
     """Check that C of a saddle-point matrix (A, B'; B, -C) has no negative diagonal entry.
 
     The pivots do not show this: if C is negative, the matrix may have the same number of negative
-    pivots. Collective.
-
-    Args:
-        K: the saddle-point matrix.
-        not_displacement: (owned unknowns,) whether each is free and no displacement. K has -C
-            there, so that entries above 0 are wrong.
-
-    Raises:
-        StiffnessError: a diagonal entry of C is negative.
+    pivots. The mask tells the free owned unknowns that are no displacement, where K has -C.
+    Collective.
     """
     entries = K.getDiagonal().array[not_displacement]
     largest = K.comm.tompi4py().allreduce(float(entries.max(initial=-np.inf)), op=MPI.MAX)

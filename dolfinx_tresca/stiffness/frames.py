@@ -28,7 +28,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, in_space
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
 from dolfinx_tresca.stiffness.forms import has_stresses
@@ -119,12 +119,9 @@ class BodyFrames:
         return self._points + in_space(u.x.array.reshape(-1, self.V.mesh.geometry.dim))
 
     def _moments(self, x: Array) -> tuple[Array, Array]:
-        """Return the mean (bodies, 3) of positions of guides, and their moments. Collective.
+        """Return the mean (bodies, 3) of positions x of guides, and their moments. Collective.
 
         The moments (bodies, 3, 3) are the sums of (x - mean) (X - mean)'.
-
-        Args:
-            x: (owned nodes, 3) positions [length].
         """
         comm, label, X = self.V.mesh.comm, self.label[: len(x)], self._points[: len(x)]
         sums = np.zeros((len(self.has_frame), 7))
@@ -142,9 +139,6 @@ class BodyFrames:
         R is the rotation that maps the undeformed guides best, in the least-squares sense, onto
         their displaced positions (polar decomposition), among the rotations that the body's axis
         allows.
-
-        Args:
-            u: displacement [length].
         """
         owned = len(self.guides)
         mean, moments = self._moments(self._positions(u)[:owned])
@@ -216,12 +210,8 @@ class BodyFrames:
         """Return a displacement at which bodies have gone on as they moved. Collective.
 
         The motion of each body from one displacement to another is continued as a rigid motion:
-        its mean goes on straight ahead, and it turns on about the same axis.
-
-        Args:
-            before: displacement [length] from which bodies have moved.
-            after: displacement [length] to which bodies have moved, from which they go on.
-            fraction: how far they go on, relative to their last motion.
+        its mean goes on straight ahead, and it turns on about the same axis. The fraction is how
+        far they go on from `after`, relative to their last motion.
         """
         owned, label = len(self.guides), self.label
         positions = [self._positions(u) for u in (before, after)]
@@ -251,15 +241,12 @@ class BodyFrames:
 def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:
     """Return whether K resists a rigid motion of each body (number,). Collective.
 
-    Args:
-        system: a `LinearSystem` with K assembled.
-        label: (nodes,) the body of each node of this rank, with ghosts.
-        number: number of bodies.
+    The label is the body of each node of this rank, with ghosts.
     """
     V, comm, prescribed = system.V, system.comm, system.prescribed
     dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
     label, points = label[:owned], V.tabulate_dof_coordinates()[:owned]
-    extent = float(reduce_array(comm, np.abs(points).max(initial=0.0), MPI.MAX))
+    (extent,) = largest_sizes(comm, points)
     rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], points / (extent or 1.0))
     motions = [*np.broadcast_to(np.eye(3)[:dim, None], (dim, owned, 3)), *rotations]
     # another factor for each body, so that springs between bodies are seen, too

@@ -14,7 +14,6 @@ import numpy as np
 import dolfinx.fem.petsc
 from dolfinx import fem
 
-from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Mask
 from dolfinx_tresca._base.parallel import warn
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error
@@ -81,10 +80,6 @@ class StiffnessSolver(PetscOwner):
                 up.
             check: function that raises an error if the finished set-up shows that K is not positive
                 definite.
-
-        Raises:
-            InputError: the options allow no iteration.
-            StiffnessError: the set-up failed.
         """
         self.name, self.comm = name, K.comm
         self.solves = 0
@@ -119,11 +114,7 @@ class StiffnessSolver(PetscOwner):
                 del options[key]
 
     def check_ready(self) -> None:
-        """Check that K is factored, or that its preconditioner is set up.
-
-        Raises:
-            ContactError: the solver was destroyed.
-        """
+        """Check that K is factored, or that its preconditioner is set up."""
         if self._ksp is None:
             raise ContactError(
                 "K is not factored: the problem was destroyed, or its update_stiffness() failed."
@@ -145,11 +136,7 @@ class StiffnessSolver(PetscOwner):
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
 
     def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
-        """Solve K U = F for the columns of dense matrices. Collective.
-
-        Raises:
-            StiffnessError: the solver failed.
-        """
+        """Solve K U = F for the columns of dense matrices. Collective."""
         for matrix in (F, U):
             matrix.assemble()
         self._ksp.matSolve(F, U)
@@ -193,9 +180,8 @@ class StiffnessSolver(PetscOwner):
     def _scale_guess(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
         """Replace u by its multiple nearest to K^-1 f; return whether the multiple is not zero.
 
-        The distance is in the energy norm. After a change of load a guess may be larger than the
-        solution by many orders of magnitude; rounding of the guess then exceeds the requested
-        accuracy.
+        After a change of load a guess may be larger than the solution by many orders of magnitude;
+        rounding of the guess then exceeds the requested accuracy.
         """
         Ku = f.duplicate()
         self.matrix.mult(u, Ku)
@@ -207,14 +193,9 @@ class StiffnessSolver(PetscOwner):
         return factor != 0.0
 
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Solve K u = f, to the accuracy in the solver's options. Collective.
+        """Solve K u = f to the accuracy in the options; return the error as `improve` does.
 
-        Returns:
-            the remaining error, as `improve` returns it.
-
-        Raises:
-            ContactError: the solver was destroyed.
-            StiffnessError: the iteration broke down.
+        Collective.
         """
         self.check_ready()
         self._ksp.solve(f, u)
@@ -256,9 +237,6 @@ class StiffnessSolver(PetscOwner):
         """Check, once, that a solve without iteration is exact to rounding. Collective.
 
         The measure is the backward error |f - K u| / (|K| |u| + |f|), in the maximum norm.
-
-        Raises:
-            StiffnessError: the solve is not exact.
         """
         size = f.norm(PETSc.NormType.INFINITY)
         if self._measured or not size > 0.0:
@@ -411,11 +389,7 @@ def cholesky(
 
 
 def multigrid(
-    K: PETSc.Mat,
-    V: Any,
-    prescribed: Mask,
-    petsc_options: Mapping[str, Any],
-    prefix: str | None,
+    K: PETSc.Mat, V: Any, prescribed: Mask, petsc_options: Mapping[str, Any], prefix: str | None
 ) -> StiffnessSolver:
     """Return a solver for K by conjugate gradients with multigrid. Collective.
 
@@ -433,9 +407,6 @@ def multigrid(
             apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,
             below degree 1.
         prefix: prefix of the options in PETSc's database.
-
-    Raises:
-        StiffnessError: the set-up failed.
     """
     # options of the user in the argument and in PETSc's database
     given = {*petsc_options, *(() if prefix is None else PETSc.Options(prefix).getAll())}
@@ -498,12 +469,6 @@ def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
     The matrix of the level is P'KP, with the interpolation P between the spaces. It needs no
     further compiled form, and includes additions to K, such as the springs of floating bodies.
-
-    Args:
-        pc: preconditioner of a KSP whose matrix is K.
-        K: the matrix, with identity rows and columns for prescribed values.
-        V: the space of degree 2.
-        prescribed: (owned degrees of freedom,) whether each is prescribed.
     """
     coarse = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
     P = dolfinx.fem.petsc.interpolation_matrix(coarse, V)
@@ -541,18 +506,3 @@ def _set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
     points.setBlockSize(dim)
     points.array = V.tabulate_dof_coordinates()[: nodes.size_local, :dim].ravel()
     K.setNearNullSpace(PETSc.NullSpace().createRigidBody(points))
-
-
-def check_options(petsc_options: Any, prefix: Any) -> None:
-    """Check the types of PETSc options and of their prefix. Not collective.
-
-    Raises:
-        InputError: a type is wrong, or the prefix has a leading hyphen.
-    """
-    names = 'a mapping from names, such as {"ksp_rtol": 1e-8}'
-    check_type("petsc_options", petsc_options, Mapping, names)
-    for key in petsc_options:
-        check_type("a name in petsc_options", key, str, "a string")
-    check_type("petsc_options_prefix", prefix, str | None, "a string")
-    if prefix is not None and prefix.startswith("-"):
-        raise InputError(f"petsc_options_prefix has no leading hyphen, found '{prefix}'.")

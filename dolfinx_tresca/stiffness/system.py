@@ -20,22 +20,11 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs, require_real_petsc
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array
-from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes
+from dolfinx_tresca._base.petsc import PetscOwner, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
-from dolfinx_tresca.stiffness.forms import (
-    Component,
-    check_hoop_stiffness,
-    check_meridian,
-    check_signs,
-    check_symmetry,
-    coefficients,
-    compiled,
-    component_index,
-    copied,
-    form_space,
-)
+from dolfinx_tresca.stiffness import forms
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
@@ -89,31 +78,27 @@ class LinearSystem(PetscOwner):
     ) -> None:
         """Compile the forms; nothing is assembled yet. Collective.
 
-        Args:
-            a: bilinear form; see `form_space`.
-            L: linear form, or None.
-            bcs: Dirichlet conditions.
-            entity_maps: entity maps of Functions on other meshes in the forms.
-            V: space of the displacement; see `form_space`.
-            axisymmetric: whether the mesh is the meridian of bodies of revolution.
+        See `ContactProblem` for the arguments.
 
         Raises:
             InputError: forms or conditions do not fit together, or the mesh is not a meridian.
         """
         require_real_petsc()
-        self.space = form_space(a, L, bcs, V)
-        index = component_index(self.space, V)
-        self.component = None if index is None else Component(self.space, index)
+        self.space = forms.form_space(a, L, bcs, V)
+        index = forms.component_index(self.space, V)
+        self.component = None if index is None else forms.Component(self.space, index)
         self.V = self.space if self.component is None else self.component.V
         self.comm = self.V.mesh.comm
+        for space in (self.space, self.V):
+            keep_inner_communicator(space.dofmap.index_map.comm)
         self.axisymmetric = axisymmetric
         if axisymmetric:
-            check_meridian(self.V.mesh)
+            forms.check_meridian(self.V.mesh)
         self.bcs = list(bcs)
         self.form = a if isinstance(a, ufl.Form) else None
         self.loads, self.entity_maps = L, entity_maps
-        self._a = compiled("a", a, self.V.mesh, entity_maps)
-        self._L = compiled("L", L, self.V.mesh, entity_maps)
+        self._a = forms.compiled("a", a, self.V.mesh, entity_maps)
+        self._L = forms.compiled("L", L, self.V.mesh, entity_maps)
         self._is_matrix = isinstance(self._a, PETSc.Mat)
         self.K = PETSc.Mat() if self._is_matrix else dolfinx.fem.petsc.create_matrix(self._a)
         self._columns: Any = None
@@ -144,11 +129,7 @@ class LinearSystem(PetscOwner):
 
     @property
     def ufl_forms(self) -> tuple[ufl.Form, ufl.Form | None]:
-        """The UFL forms a and L; None in place of a missing L.
-
-        Raises:
-            InputError: a or L is not a UFL form.
-        """
+        """The UFL forms a and L; None in place of a missing L."""
         a, L = self.form, self.loads
         if a is None or not isinstance(L, ufl.Form | None):
             raise InputError(
@@ -163,13 +144,7 @@ class LinearSystem(PetscOwner):
     def check_displacement(self, name: str, u: Any, choices: str = "") -> None:
         """Check that u is a displacement of this system. Collective.
 
-        Args:
-            name: name of the argument for the message.
-            u: the value to check.
-            choices: text for the message that names further allowed values.
-
-        Raises:
-            InputError: u is not a Function on the space, or has values that are NaN or infinite.
+        The message names the argument, and the further choices that there are.
         """
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
@@ -184,8 +159,8 @@ class LinearSystem(PetscOwner):
         """Assemble K from the form's present coefficients. Collective.
 
         Raises:
-            InputError: a is a matrix, given in place of a form, that `copied` cannot copy; or an
-                axisymmetric form describes a plane body.
+            InputError: a is a matrix, given in place of a form, that `forms.copied` cannot copy; or
+                an axisymmetric form describes a plane body.
             StiffnessError: K is not symmetric or not finite; or, in a mixed space, a diagonal entry
                 of an unknown that is no displacement is positive.
         """
@@ -195,23 +170,19 @@ class LinearSystem(PetscOwner):
                 "K has entries that are NaN or infinite: check coefficients of a, and the cells."
             )
         if self.axisymmetric and self.component is None:
-            check_hoop_stiffness(self.K)
+            forms.check_hoop_stiffness(self.K)
         self._eliminate()
-        check_symmetry(self.K, self.cure_of_asymmetry)
+        forms.check_symmetry(self.K, self.cure_of_asymmetry)
         if self.component is not None:
-            check_signs(self.K, ~self.prescribed & ~self.moves)
+            forms.check_signs(self.K, ~self.prescribed & ~self.moves)
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._coefficients = [np.copy(values) for values in coefficients(self.form)]
+        self._coefficients = [np.copy(values) for values in forms.coefficients(self.form)]
 
     def assemble_form(self) -> None:
-        """Assemble K without Dirichlet conditions. Collective.
-
-        Raises:
-            InputError: a is a matrix, given in place of a form, that `copied` cannot copy.
-        """
+        """Assemble K without Dirichlet conditions. Collective."""
         if self._is_matrix:
             self.K.destroy()  # the new matrix may have another sparsity pattern
-            self.K = copied(self._a, self.space)
+            self.K = forms.copied(self._a, self.space)
         else:
             self.K.zeroEntries()
             dolfinx.fem.petsc.assemble_matrix(self.K, self._a)
@@ -258,9 +229,6 @@ class LinearSystem(PetscOwner):
 
         Where u is prescribed, the result has the forces of prescribed values alone. The caller owns
         the vector.
-
-        Args:
-            u: (owned degrees of freedom,) values of u.
         """
         inside, result = self.K.createVecs()
         inside.array = np.where(self.prescribed, 0.0, u)
@@ -271,12 +239,8 @@ class LinearSystem(PetscOwner):
     def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
 
-        Args:
-            forces: forces without those that prescribed values cause.
-            u: displacement, with prescribed values.
-
-        Returns:
-            a new vector, owned by the caller.
+        The forces are those without the effect of the prescribed values, which u has. The caller
+        owns the vector.
         """
         result = self.product(u.array)
         result.aypx(-1.0, forces)
@@ -286,7 +250,7 @@ class LinearSystem(PetscOwner):
     @property
     def outdated(self) -> bool:
         """Whether coefficients of the form have changed since K was assembled. Collective."""
-        same = map(np.array_equal, coefficients(self.form), self._coefficients)
+        same = map(np.array_equal, forms.coefficients(self.form), self._coefficients)
         return bool(self.comm.allreduce(not all(same), op=MPI.LOR))
 
     @property
@@ -325,10 +289,7 @@ class LinearSystem(PetscOwner):
         """Return a(u, u) / 2 [energy], for the coefficients with which K was assembled. Collective.
 
         In a mixed space, where K is (A, B'; B, -C), it is (v'A v + q'C q) / 2 for the displacement
-        v and the other unknowns q.
-
-        Args:
-            u: displacement, with prescribed values.
+        v and the other unknowns q. u has the prescribed values.
         """
         # only displacements have nonzero prescribed values
         forces = self.forces_of(u.array[self.prescribed]).array
@@ -343,7 +304,7 @@ class LinearSystem(PetscOwner):
         The caller assembles the load again after the block.
         """
         given = self._L
-        self._L = compiled("L", L, self.V.mesh, self.entity_maps)
+        self._L = forms.compiled("L", L, self.V.mesh, self.entity_maps)
         try:
             yield
         finally:
@@ -378,27 +339,17 @@ class LinearSystem(PetscOwner):
     def response_to_prescribed_values(
         self, solver: StiffnessSolver, u: fem.Function
     ) -> fem.Function:
-        """Return the displacement that a change of prescribed values alone causes. Collective.
+        """Return the displacement to be added to u as prescribed values change. Collective.
 
-        Contact forces and loads stay the same.
-
-        Args:
-            solver: solver for K.
-            u: displacement [length] with the previous prescribed values.
-
-        Returns:
-            the displacement [length] that is to be added to u, inaccurate (`ROUGH`), since it only
-            predicts a configuration; zero if the prescribed values are the same up to rounding.
-
-        Raises:
-            StiffnessError: the solve failed.
+        Contact forces and loads stay the same, and u [length] has the previous prescribed values.
+        The result is inaccurate (`ROUGH`), since it only predicts a configuration, and zero if the
+        prescribed values are the same up to rounding.
         """
         before, response = fem.Function(self.space), fem.Function(self.space)
         before.x.array[slice(None) if self.component is None else self.component.dofs] = u.x.array
         owned = before.x.array[: len(self.prescribed)]
         change = self.prescribed_values() - owned[self.prescribed]
-        sizes = [float(np.abs(values).max(initial=0.0)) for values in (change, u.x.array)]
-        changed, largest = reduce_array(self.comm, sizes, MPI.MAX)
+        changed, largest = largest_sizes(self.comm, change, u.x.array)
         if changed > ROUNDING * largest:
             forces = self.forces_of(change)
             forces.array = np.where(self.prescribed, 0.0, -forces.array)
@@ -430,13 +381,9 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite, and that only displacements have nonzero prescribed values.
+        """Check that f is finite, and that values other than displacements are prescribed as zero.
 
         Collective.
-
-        Raises:
-            InputError: a value is NaN or infinite, or a nonzero value is prescribed for an unknown
-                that is not a displacement.
         """
         values = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
         with errors_on_all_ranks(self.comm):

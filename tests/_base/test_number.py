@@ -26,7 +26,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca._base.arguments import checked_integer
 from dolfinx_tresca._base.arrays import integer, real
-from dolfinx_tresca.stiffness.choice import choose
+from dolfinx_tresca.stiffness.choice import SolverRequest
 from scenes.blocks import block
 
 REALS = [1, 1.0, Fraction(1), np.array(1.0), np.array(1)]
@@ -77,7 +77,7 @@ WHOLE = {
     "levels": lambda value: checked_integer("max_levels", value),
     "pair": NormalForce,
     "tag": lambda value: _pair(secondary=value, primary=RigidPlane((0, 0), (0, 1))),
-    "solves": lambda value: choose("auto", 1.0, 3, value, MPI.COMM_SELF),
+    "solves": lambda value: SolverRequest(expected_solves=value),
 }
 
 

@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import ContactStatus, InputError, StiffnessError
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca.stiffness.choice import choose
+from dolfinx_tresca.stiffness.choice import SolverRequest
 from scenes.elasticity import elasticity
 from scenes.scene import EPS
 from scenes.two_bricks import YOUNG, bricks_problem, two_bricks
@@ -160,11 +160,11 @@ def test_cholmod_that_the_user_chose_is_not_replaced(comm):
 @pytest.mark.parallel
 def test_auto_takes_the_factorisation_for_small_models(comm):
     def chosen(size, dim=3, solves=1):
-        return choose("auto", size, dim, solves, comm)[0]
+        return SolverRequest(expected_solves=solves).choose(size, dim, comm)[0]
 
     assert chosen(1000) == "cholesky"
     assert chosen(10**7) == "multigrid"
-    assert choose("multigrid", 10, 3, 1, comm)[0] == "multigrid"
+    assert SolverRequest("multigrid").choose(10, 3, comm)[0] == "multigrid"
     # what multigrid does better once, or in space, Cholesky does better often, or in the plane
     assert chosen(200_000) == "multigrid"
     assert chosen(200_000, solves=10) == "cholesky"
@@ -175,10 +175,10 @@ def test_auto_takes_the_factorisation_for_small_models(comm):
     # memory
     assert chosen(10**7, solves=10**6) == "multigrid"
     with pytest.raises(InputError, match=r"auto, cholesky, multigrid.*'lu'"):
-        choose("lu", 1.0, 3, 1, comm)
+        SolverRequest("lu")
     for wrong in (0, 2.5, "two"):
         with pytest.raises(InputError, match="expected_solves"):
-            choose("auto", 1.0, 3, wrong, comm)
+            SolverRequest(expected_solves=wrong)
 
 
 @pytest.mark.parallel
