@@ -325,9 +325,10 @@ class Bodies:
         terms = *squares, distance.complementarity, distance.friction
         *sums, complementarity, friction = reduce_array(self.comm, [term.sum() for term in terms])
         eta, stress, oscillation, lift, offset = map(float, np.sqrt(sums))
-        gap = max(float(complementarity + friction), 0.0)
-        error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + gap)
-        radius = np.sqrt(0.25 * stress**2 + gap + oscillation * error_of_v)
+        defect = max(float(complementarity + friction), 0.0)  # of the conditions of contact
+        # the larger root e of e^2 = eta e + defect
+        error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + defect)
+        radius = np.sqrt(0.25 * stress**2 + defect + oscillation * error_of_v)
         error, norm = float(min(error_of_v + lift, offset + radius)), dual.norm_of(u)
         cell_errors = fem.Function(
             fem.functionspace(self.V.mesh, ("DG", 0)), name="guaranteed_cell_errors"
@@ -481,8 +482,8 @@ def guaranteed_goal(
             distance = bodies.distance(candidate, v, target, gain)
             eta = distance.stress + distance.oscillation
             lack = distance.complementarity + distance.friction
-            square, gap = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), lack.sum()])
-            result.append(sign * functional.value(v) + (square + max(gap, 0.0)) / t)
+            square, defect = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), lack.sum()])
+            result.append(sign * functional.value(v) + (square + max(defect, 0.0)) / t)
         return np.array(result)
 
     start = dual.norm_of(u) / dual.norm_of(functional.response(bodies, dual))

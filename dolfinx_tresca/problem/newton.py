@@ -364,7 +364,7 @@ class Newton:
 
         The text is empty after a success.
         """
-        problem, norm, number = self.problem, math.inf, 0
+        problem, norm_before, number = self.problem, math.inf, 0
         errors: list[float] = []  # of each step, divided by the requested error
         pressed = problem.normal_forces_at_nodes() > 0.0
         self._flips = np.zeros(pressed.shape[1])
@@ -402,15 +402,16 @@ class Newton:
             size = size or problem.rounding_norm() / self.options.accuracy
             # sums may differ between ranks in the last digit, verdicts must not
             size, correction, residual = problem.comm.bcast((size, change / size, residual / size))
+            norm = residual * size
             add_cost(self.cost, solution)
             # The residual of the first step may be small only because nothing had moved yet. Steps
             # with added stiffness lead from an unstable equilibrium to a stable one, and on the way
             # the residual grows before it falls: from 7e-4 to 2e-2, then to 7e-5, in a block of
             # degree 2 with 8 x 8 cells that snaps at a strain of 0.4335.
-            grows = residual * size >= norm and number > 2 and self.level == 0
-            stalls = number > 2 and residual * size >= STALLED * norm
+            grows = number > 2 and norm >= norm_before and self.level == 0
+            stalls = number > 2 and norm >= STALLED * norm_before
             reached = residual <= self.options.accuracy or (
-                stalls and problem.comm.bcast(residual * size <= problem.rounding_norm())
+                stalls and problem.comm.bcast(norm <= problem.rounding_norm())
             )
             if self.fraction == 0.0 or reached:
                 self.solution = solution
@@ -446,16 +447,16 @@ class Newton:
             if self._sliding is not None:
                 self._sliding.pair_next_configuration()
             elif grows:  # residuals in two configurations would not be comparable
-                return f"{where} diverges: residual {residual:.1e}, after {norm / size:.1e}"
+                return f"{where} diverges: residual {residual:.1e}, after {norm_before / size:.1e}"
             if not self._may_continue(errors):
                 failure = (
                     f"{where} converges too slowly: residual {residual:.1e}, after "
-                    f"{norm / size:.1e}; requested {self.options.accuracy:.0e}"
+                    f"{norm_before / size:.1e}; requested {self.options.accuracy:.0e}"
                 )
                 if self._sliding is not None:
                     failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
                 return failure
-            norm = residual * size
+            norm_before = norm
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps, for observers. Not collective."""

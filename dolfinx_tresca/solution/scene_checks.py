@@ -19,6 +19,7 @@ from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
 from dolfinx_tresca._base.parallel import RankReductions, largest_sizes, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.errors import shown_place
 from dolfinx_tresca.pairing.facets import FACING_COSINE, Facets
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import Pieces, near_lines
@@ -284,11 +285,11 @@ def hint_at_overlap(
         place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
         warn(
             comm,
-            "%s overlaps by up to %.3g, at (%s): Dirichlet conditions prescribe the displacement "
+            "%s overlaps by up to %.3g, at %s: Dirichlet conditions prescribe the displacement "
             "along the normal at %d nodes of the secondary side, which so have no pressure to hold "
             "the sides apart. Prescribe no overlap, or make a side that can give way the secondary "
             "side",
-            *(pair, deepest, ", ".join(f"{x:.4g}" for x in place), number),
+            *(pair, deepest, shown_place(place), number),
             about=str(pair),
         )
 

@@ -65,7 +65,6 @@ class StiffnessSolver(PetscOwner):
         petsc_options: Mapping[str, Any],
         prefix: str | None,
         prepare: Callable[[PETSc.PC], None] = lambda pc: None,
-        check: Callable[[PETSc.KSP], None] = lambda ksp: None,
     ) -> None:
         """Set the solver up: factor K, or build the hierarchy. Collective.
 
@@ -78,8 +77,6 @@ class StiffnessSolver(PetscOwner):
                 from a command line, take precedence over `defaults`. None: a new prefix.
             prepare: function that sets up those parts of the preconditioner that options cannot set
                 up.
-            check: function that raises an error if the finished set-up shows that K is not positive
-                definite.
         """
         self.name, self.comm = name, K.comm
         self.solves = 0
@@ -103,7 +100,6 @@ class StiffnessSolver(PetscOwner):
                     raise InputError("ksp_max_it must be at least 1, found 0.")
                 self._ksp.setComputeEigenvalues(True)
                 self._ksp.setUp()
-                check(self._ksp)
         except PETSc.Error as error:
             raise StiffnessError(
                 f"setting up the {name} solver for K failed: {error}. Check the material data, "
@@ -337,36 +333,6 @@ def cholesky(
         StiffnessError: the factorisation failed, or the pivots show that K is not positive
             definite, or that a saddle-point matrix is singular or has the wrong signs.
     """
-
-    def check(ksp: PETSc.KSP) -> None:
-        pc = ksp.getPC()
-        if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
-            return  # the user has chosen another solver
-        factor = pc.getFactorMatrix()
-        failure, reason, negative, zero = map(factor.getMumpsInfog, (1, 2, 12, 28))
-        if failure < 0:
-            raise StiffnessError(
-                f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} (-10: "
-                "singular, -9 or -13: out of memory). For large models take stiffness='multigrid'."
-            )
-        if constraints == 0 and negative > 0:
-            raise not_positive_definite(f"{negative} of {K.getSize()[0]} pivots are negative")
-        if constraints != 0 and zero > 0:
-            raise StiffnessError(
-                f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Nothing holds a body; "
-                "or a pressure is not determined, since all of the boundary is clamped, or since "
-                "spaces are no stable pair, such as degree 2 for u and degree 1 for p."
-            )
-        if constraints and negative != constraints:
-            error = StiffnessError(
-                f"K has {negative} negative pivots, but {constraints} unknowns that are no "
-                "displacements. Check the material data, and the signs of the form: a(u, v) + "
-                "b(v, p) + b(u, q) - c(p, q), where c(p, p) >= 0 and a is positive definite."
-            )
-            if negative > constraints:
-                error.evidence = f"{negative - constraints} pivots of displacements are negative"
-            raise error
-
     options: dict[str, Any] = {
         "ksp_type": "preonly",
         "pc_type": "cholesky",
@@ -380,12 +346,45 @@ def cholesky(
         "mat_mumps_icntl_7": 5,
         "mat_mumps_icntl_14": SPARE_WORKSPACE,
     }
-    if constraints == 0:  # no pivoting: K is positive definite, or the check above fails
+    if constraints == 0:  # no pivoting: K is positive definite, or the check below fails
         options["mat_mumps_cntl_1"] = 0.0
     else:  # L D L' with pivots of size 1 and 2, whose signs are counted
         options["mat_mumps_icntl_13"] = 1  # no ScaLAPACK in the last front: it counts no signs
         options["mat_mumps_icntl_24"] = 1  # detect zero pivots
-    return StiffnessSolver("cholesky", K, options, petsc_options, prefix, check=check)
+    solver = StiffnessSolver("cholesky", K, options, petsc_options, prefix)
+    with destroyed_on_error(solver):
+        _check_pivots(K, solver.preconditioner, constraints)
+    return solver
+
+
+def _check_pivots(K: PETSc.Mat, pc: PETSc.PC, constraints: int | None) -> None:
+    """Check that K is positive definite, or has the signs of a saddle point; see `cholesky`."""
+    if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
+        return  # the user has chosen another solver
+    factor = pc.getFactorMatrix()
+    failure, reason, negative, zero = map(factor.getMumpsInfog, (1, 2, 12, 28))
+    if failure < 0:
+        raise StiffnessError(
+            f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} (-10: "
+            "singular, -9 or -13: out of memory). For large models take stiffness='multigrid'."
+        )
+    if constraints == 0 and negative > 0:
+        raise not_positive_definite(f"{negative} of {K.getSize()[0]} pivots are negative")
+    if constraints != 0 and zero > 0:
+        raise StiffnessError(
+            f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Nothing holds a body; "
+            "or a pressure is not determined, since all of the boundary is clamped, or since "
+            "spaces are no stable pair, such as degree 2 for u and degree 1 for p."
+        )
+    if constraints and negative != constraints:
+        error = StiffnessError(
+            f"K has {negative} negative pivots, but {constraints} unknowns that are no "
+            "displacements. Check the material data, and the signs of the form: a(u, v) + "
+            "b(v, p) + b(u, q) - c(p, q), where c(p, p) >= 0 and a is positive definite."
+        )
+        if negative > constraints:
+            error.evidence = f"{negative - constraints} pivots of displacements are negative"
+        raise error
 
 
 def multigrid(

@@ -61,7 +61,9 @@ def test_no_vector_is_left_to_the_garbage_collector():
     gc.disable()
     try:
         with scene.problem() as problem:
-            problem.update_geometry(fem.Function(scene.V))
+            u = fem.Function(scene.V)
+            u.x.array[:] = 1e-3
+            problem.update_geometry(u)
         gc.set_debug(gc.DEBUG_SAVEALL)
         gc.collect()
         functions = [one for one in gc.garbage if isinstance(one, fem.Function)]
