@@ -191,7 +191,7 @@ class ContactSurfaces(PetscOwner):
             and not isinstance(pair.friction, Bonded)
         ]
         surfaces = [fem.locate_dofs_topological(V, dim, numbers) for numbers in facets]
-        return BodyFrames.at_rest(self.linear, surfaces)
+        return BodyFrames.at_rest(self.linear, self.bodies, surfaces)
 
     def frames_at(self, u: fem.Function) -> BodyFrames | None:
         """Return the frames that move with a displacement; None if all are at rest. Collective."""

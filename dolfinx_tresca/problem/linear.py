@@ -216,24 +216,10 @@ class ContactProblem(ContactProcess):
     ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
-        All arguments but `observer` are fields of `SolverOptions`, which explains them. They
-        replace the fields of the problem's `options` in this solve.
-
-        Args:
-            observer: function that is called before each iteration, on the ranks that give it; see
-                `dolfinx_tresca.ProgressBar`. The solve stops if it returns True on any rank.
-            method: the algorithm, such as "projected_newton".
-            accuracy: requested bound of the relative energy error; replaces an `rtol` of the
-                problem's `options`, too.
-            local_accuracy: accuracy of nodal values with `accuracy="balanced"`.
-            mesh_part: ratio of the error of the iteration to the error of the mesh with
-                `accuracy="balanced"`.
-            rtol: requested relative residual.
-            max_iterations: limit of the number of outer iterations.
-            rho_sigma: step length times the largest eigenvalue of A.
-            r_tol: ratio of the tolerance of an inner iteration to the outer residual.
-            c_fact: largest ratio of an inner tolerance to the previous one.
-            geometry_accuracy: accuracy of the configuration with finite sliding.
+        The `observer` is called before each iteration, on the ranks that give it; see
+        `dolfinx_tresca.ProgressBar`. The solve stops if it returns True on any rank. All other
+        arguments are fields of `SolverOptions`, which explains them. They replace the fields of the
+        problem's `options` in this solve; an `accuracy` also replaces an `rtol` of theirs.
 
         Returns:
             the solution; check its `status`, or call its `raise_if_failed()`.

@@ -22,7 +22,8 @@ from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Mask, integer
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
-from dolfinx_tresca.contact.step_state import SavedState, StepSolution, write_state
+from dolfinx_tresca.contact.saved_state import SavedState, write_state
+from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives import goals
 from dolfinx_tresca.derivatives.change_of_data import DataOfSolution
 from dolfinx_tresca.derivatives.goals import ContactTangent

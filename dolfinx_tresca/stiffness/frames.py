@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, in_space
-from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
+from dolfinx_tresca._base.bodies import Bodies, label_bodies
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
 from dolfinx_tresca.stiffness.forms import has_stresses
@@ -62,7 +62,9 @@ class BodyFrames:
     rotation: Array
 
     @classmethod
-    def at_rest(cls, system: Any, fixed_surfaces: Sequence[LocalNumbers]) -> BodyFrames | None:
+    def at_rest(
+        cls, system: Any, bodies: Bodies, fixed_surfaces: Sequence[LocalNumbers]
+    ) -> BodyFrames | None:
         """Return the frames of undeformed bodies; None if no body can have a frame. Collective.
 
         A body has no frame if it is a body of revolution in its meridian, or one of a mixed space;
@@ -72,24 +74,24 @@ class BodyFrames:
 
         Args:
             system: a `LinearSystem` with K assembled.
+            bodies: the bodies of its mesh.
             fixed_surfaces: numbers of the nodes of surfaces with small sliding, whose normals do
                 not turn; their bodies have no frames.
         """
-        V, comm = system.V, system.comm
+        V, number = system.V, bodies.number
         if system.component is not None or system.axisymmetric or has_stresses(system.loads):
             return None
         owned, dim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
         label = label_bodies(V)
-        number = comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
         prescribed = system.prescribed_displacements.reshape(owned, dim)
         whole = prescribed.all(axis=1)
         alone = np.zeros((number, 3), dtype=np.int64)  # nodes with a prescribed single component
         np.add.at(alone[:, :dim], label[:owned], prescribed & ~whole[:, None])
         for nodes in fixed_surfaces:
             alone[label[nodes]] = 1
-        alone = reduce_array(comm, alone)
+        alone[:] = reduce_array(system.comm, alone)
         axis = np.where((alone > 0) & (alone.sum(axis=1) == alone.max(axis=1))[:, None], 1.0, 0.0)
-        has_frame = (np.count_nonzero(alone, axis=1) <= dim - 2) & ~_resisted(system, label, number)
+        has_frame = (np.count_nonzero(alone, axis=1) <= dim - 2) & ~_resisted(system, bodies)
         if dim == 2:
             axis[:] = [0.0, 0.0, 1.0]
         if not has_frame.any():
@@ -238,25 +240,17 @@ class BodyFrames:
         return B.matMult(sparse_matrix(R, B.getSizes()[1], B.comm))
 
 
-def _resisted(system: Any, label: npt.NDArray[np.int64], number: int) -> Mask:
-    """Return whether K resists a rigid motion of each body (number,). Collective.
-
-    The label is the body of each node of this rank, with ghosts.
-    """
-    V, comm, prescribed = system.V, system.comm, system.prescribed
-    dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-    label, points = label[:owned], V.tabulate_dof_coordinates()[:owned]
-    (extent,) = largest_sizes(comm, points)
-    rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], points / (extent or 1.0))
-    motions = [*np.broadcast_to(np.eye(3)[:dim, None], (dim, owned, 3)), *rotations]
+def _resisted(system: Any, bodies: Bodies) -> Mask:
+    """Return whether K resists a rigid motion of each body (number,). Collective."""
+    dim, free = system.V.mesh.geometry.dim, ~system.prescribed
+    label, modes = np.repeat(bodies.label, dim)[free], bodies.rigid_modes(dim)
     # another factor for each body, so that springs between bodies are seen, too
-    factor = 1.0 + 0.618 * label % 1.0
+    factors = 1.0 + 0.618 * np.arange(bodies.number) % 1.0
     diagonal = system.K.getDiagonal()
-    largest, force = np.zeros(number), np.zeros(number)
-    free = np.repeat(label, dim)[~prescribed]
-    np.maximum.at(largest, free, np.abs(diagonal.array[~prescribed]))
-    for motion in motions:
-        values = (factor[:, None] * motion)[:, :dim].ravel()
-        np.maximum.at(force, free, np.abs(system.product(values).array)[~prescribed])
-    largest, force = reduce_array(comm, np.array([largest, force]), MPI.MAX)
+    largest, force = np.zeros((2, bodies.number))
+    np.maximum.at(largest, label, np.abs(diagonal.array[free]))
+    for mode in np.eye(modes.shape[1] // bodies.number):
+        forces = system.product(modes @ np.kron(factors, mode))
+        np.maximum.at(force, label, np.abs(forces.array[free]))
+    largest, force = reduce_array(system.comm, np.array([largest, force]), MPI.MAX)
     return np.asarray(force > ASSEMBLY_ROUNDING * largest)

@@ -1,0 +1,299 @@
+"""The file of a process of load steps, from which another run goes on.
+
+The file is an archive of numpy arrays, which any number of ranks can read. Arrays named
+"table/column" have a row for each node of the table; the column `PLACES` says which node that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile, is_zipfile
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from dolfinx import fem
+
+from dolfinx_tresca._base.arrays import Array, Indices, dots
+from dolfinx_tresca._base.atomic_write import atomic_write
+from dolfinx_tresca._base.functions import owned_values, with_owned_values
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
+from dolfinx_tresca.contact.step_state import StepState
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.load_steps import SlipHistory
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.pairing.operators import PairOperators
+
+#: Name and version of the format of the file.
+FORMAT = "dolfinx_tresca state 8"
+
+#: Name of the column of a table with the `surroundings` of its nodes.
+PLACES = "places"
+
+#: Two places count as the same if their distance is at most this fraction of the extent of all
+#: nodes of the table. (Positions in other units, or on other ranks, differ by rounding only.)
+SAME_PLACE = 1e-9
+
+
+def write_state(
+    path: Path, state: StepState, step: int = 0, material: Sequence[fem.Function] = ()
+) -> None:
+    """Write the state from which a solve begins; see `StepState.at_start`. Collective.
+
+    Displacements and slips are values at all nodes. Multipliers and the origin of friction are
+    values at the contact nodes of each pair: a pressure and two vectors for each smooth patch of
+    the surface to which the node belongs, since the tangents are arbitrary. The last solution is
+    not written. The file appears when it is complete.
+    """
+    jump, history, accepted = state.jump, state.history, state.accepted
+    places = surroundings(jump.system.V)
+    displacements = {
+        "configuration": state.configuration,
+        "geometry": state.geometry,
+        "accepted displacement": accepted.displacement,
+        "displacement before": accepted.before,
+        "accepted configuration": accepted.configuration,
+    }
+    columns = {f"nodes/{PLACES}": places}
+    columns |= {
+        f"nodes/{name}": owned_values(u) for name, u in displacements.items() if u is not None
+    }
+    if history.begun:
+        columns |= {f"nodes/slip of pair {k}": slip for k, slip in enumerate(history.slipped)}
+    origin = history.origin * jump.length_scale
+    tractions = state.multipliers * jump.stress_scale
+    for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
+        pressure = np.zeros((len(pair.nodes), 1))
+        pressure[pair.normal_node, 0] = tractions[n]
+        vectors = [pair.tangential_vectors(values[t]) for values in (tractions, origin)]
+        columns[f"pair {k}/{PLACES}"] = _contact_places(pair, places)
+        columns[f"pair {k}/values"] = np.hstack([pressure, *vectors])
+    for k, function in enumerate([*_functions_of_unknowns(state), *material]):
+        columns[f"function {k}/{PLACES}"] = surroundings(function.function_space)
+        columns[f"function {k}/values"] = owned_values(function)
+    ranks, laws = jump.comm.gather(columns), _laws(jump)
+    with errors_on_all_ranks(jump.comm):
+        if ranks is not None:
+            content: dict[str, Any] = {"format": FORMAT, "laws": laws, "motions": accepted.motions}
+            content["numbers"] = np.array([history.dissipation, history.begun, step])
+            for name in columns:
+                content[name] = np.concatenate([of_rank[name] for of_rank in ranks])
+            with atomic_write(path) as new, new.open("wb") as stream:
+                np.savez(stream, **content)
+
+
+class SavedState:
+    """A file that `write_state` has written.
+
+    Attributes:
+        step: the number that was saved.
+        motions: (pairs, 3, 4) places of the obstacles at the accepted step.
+        configuration: displacement [length] at which pairs with finite sliding were paired.
+        geometry: displacement [length] at which the other pairs were paired.
+        material: the saved Functions of the material's history.
+    """
+
+    def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
+        """Read a file for a problem in its present state. Collective.
+
+        The Functions of the material have the spaces of the saved ones, and are not changed.
+
+        Raises:
+            InputError: the file cannot be read, or belongs to another mesh or degree, to another
+                kind of problem, or to a problem with another number of pairs or Functions.
+        """
+        system, pairs = present.jump.system, len(present.jump.pairs)
+        self._path, self._comm, self._system = path, system.comm, system
+        unknowns = _functions_of_unknowns(present)
+        spaces = [function.function_space for function in (*unknowns, *material)]
+        self._content: dict[str, npt.NDArray[Any]] = {}
+        with errors_on_all_ranks(self._comm):
+            if self._comm.rank == 0:
+                self._content = _read(path)
+                self._check_sizes(pairs, [space.dofmap.index_map_bs for space in spaces])
+        names = "laws", "motions", "numbers"
+        header = self._comm.bcast([self._content.get(name) for name in names])
+        self._laws, self.motions, (self._dissipation, self._begun, step) = header
+        self.step = int(step)
+        self._places = surroundings(system.V)
+        self._nodes = self._rows("nodes", self._places)
+        self.configuration = with_owned_values(system.V, self._nodes["configuration"])
+        self.geometry = with_owned_values(system.V, self._nodes["geometry"])
+        functions = [
+            with_owned_values(space, self._rows(f"function {k}", surroundings(space))["values"])
+            for k, space in enumerate(spaces)
+        ]
+        self._unknowns, self.material = functions[: len(unknowns)], functions[len(unknowns) :]
+
+    def _check_sizes(self, pairs: int, components: list[int]) -> None:
+        """Check that the file has the pairs and the components of Functions of the problem."""
+        saved = [
+            values.shape[1]
+            for name, values in self._content.items()
+            if name.startswith("function") and name.endswith("values")
+        ]
+        saved_pairs = len(self._content["motions"])
+        if saved != components or saved_pairs != pairs:
+            raise InputError(
+                f"the state in '{self._path}' is of a problem with {len(saved)} Function(s), of "
+                f"{saved} component(s), those of u and those given as material, and with "
+                f"{saved_pairs} pair(s), and here there are {len(components)}, of {components}, "
+                f"and {pairs} pair(s). Give the pairs, the mesh and the space of that problem."
+            )
+
+    def _rows(self, table: str, places: Array) -> dict[str, Array]:
+        """Return column -> values (n, k) of a table at the `surroundings` of nodes. Collective."""
+        places_of_ranks = self._comm.gather(places)
+        tables: list[dict[str, Array]] = [{} for _ in range(self._comm.size)]
+        with errors_on_all_ranks(self._comm):
+            if places_of_ranks is not None:
+                nodes = np.concatenate(places_of_ranks)
+                saved = self._content.get(f"{table}/{PLACES}", np.zeros((0, nodes.shape[1])))
+                rows = same_nodes(saved, nodes)
+                if rows is None:
+                    raise InputError(
+                        f"the state in '{self._path}' is of another mesh, of another degree or of "
+                        f"other pairs: its {table} has {len(saved)} nodes or points, the problem "
+                        f"{len(nodes)}, and they must be the same ones. For another mesh take "
+                        "continue_from(solution)."
+                    )
+                ends = np.cumsum([len(places) for places in places_of_ranks])[:-1]
+                for name, values in self._content.items():
+                    if name.startswith(f"{table}/"):
+                        for columns, x in zip(tables, np.split(values[rows], ends), strict=True):
+                            columns[name.partition("/")[2]] = x
+        return dict(self._comm.scatter(tables))
+
+    def state(self, present: StepState) -> StepState:
+        """Return the state in the file, with surfaces paired as in the present one. Collective."""
+        jump = present.jump
+        for number, (saved, law) in enumerate(zip(self._laws, _laws(jump), strict=True)):
+            if saved != law:
+                raise InputError(
+                    f"the state in '{self._path}' is of a problem whose pair {number} "
+                    f"{saved}; here it {law}, so that tractions and slip would be lost, or are "
+                    "not known. Where friction comes or goes in a process let its bound or "
+                    "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
+                    "last accepted displacement."
+                )
+        multipliers, origin = np.zeros((2, len(jump.gap)))
+        for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
+            values = self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
+            multipliers[n] = values[pair.normal_node, 0]
+            tractions_and_slips = np.split(values[:, 1:], 2, axis=1)
+            for result, vectors in zip((multipliers, origin), tractions_and_slips, strict=True):
+                result[t] = dots(vectors[pair.tangent_node], pair.tangents)
+        slips = enumerate(SlipHistory.none(jump).slipped)
+        history = SlipHistory(
+            origin / jump.length_scale,
+            tuple(self._nodes.get(f"slip of pair {k}", zeros) for k, zeros in slips),
+            float(self._dissipation),
+            begun=bool(self._begun),
+        )
+        names = "accepted displacement", "displacement before", "accepted configuration"
+        displacement, before, configuration = (
+            with_owned_values(self._system.V, self._nodes[name]) if name in self._nodes else None
+            for name in names
+        )
+        unknowns = present.unknowns
+        if self._unknowns:
+            w = self._unknowns[0]
+            if self._system.component is not None:
+                w = fem.Function(self._system.space)
+                for i, values in enumerate(self._unknowns):
+                    w.sub(i).interpolate(values)
+            unknowns = w.x.array.copy()
+        state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
+        state = state.after_step(history, displacement, configuration=configuration, before=before)
+        return replace(state, solution=None)
+
+
+def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
+    """Return the displacement of nonlinear bodies, or all parts of a mixed space. Collective.
+
+    There are none for linear bodies, whose next solve finds the displacement.
+    """
+    if state.unknowns is None:
+        return []
+    system = state.jump.system
+    w = fem.Function(system.space)
+    w.x.array[:] = state.unknowns
+    if system.component is None:
+        return [w]
+    return [w.sub(i).collapse() for i in range(w.function_space.num_sub_spaces)]
+
+
+def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays in a file by their names. Not collective."""
+    try:
+        with path.open("rb") as stream:
+            if not is_zipfile(stream):  # numpy would propose to load it unsafely
+                raise ValueError("it is no state, or its end is missing")
+        with np.load(path, allow_pickle=False) as file:
+            if "format" not in file.files:
+                raise ValueError("it is no state")
+            if str(file["format"]) != FORMAT:
+                raise ValueError(
+                    f"its format is '{file['format']}', and this version reads '{FORMAT}' only"
+                )
+            content = {name: file[name] for name in file.files if name != "format"}
+        for name, values in content.items():
+            if values.dtype.kind == "f" and not np.isfinite(values).all():
+                raise ValueError(f"'{name}' has values that are NaN or infinite")
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+        raise InputError(
+            f"cannot read a state from '{path}': {error}. Give the file that save_state() wrote."
+        ) from error
+    return content
+
+
+def _laws(jump: JumpOperator) -> list[str]:
+    """Return the kind of law of each pair, which determines its multipliers. Collective."""
+    tangential_rows = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
+    return [
+        "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
+        for pair, rows in zip(jump.pairs, tangential_rows, strict=True)
+    ]
+
+
+def _contact_places(pair: PairOperators, places: Array) -> Array:
+    """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch.
+
+    A node on a sharp edge belongs to several smooth patches of the surface, which are entries of
+    `pair.nodes` one after the other. Not collective.
+    """
+    _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
+    patch = np.arange(len(pair.nodes)) - start[row]
+    return np.column_stack([places[pair.nodes], patch])
+
+
+def surroundings(V: Any) -> Array:
+    """Return two positions (n, 2 d) for each of this rank's own nodes or points. Collective.
+
+    The first position, with d coordinates, is the position of the node itself. The second is the
+    mean of the midpoints of the cells around the node, which distinguishes nodes of two bodies that
+    touch. Together the positions identify a node on any partition, up to rounding, also on refined
+    meshes, where the number of a node depends on the partition.
+    """
+    dim, cells = V.mesh.geometry.dim, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    points = V.tabulate_dof_coordinates()[:, :dim]
+    nodes, own = V.dofmap.list[:cells], V.dofmap.index_map.size_local
+    middles = np.column_stack([points[nodes].mean(axis=1), np.ones(cells)])
+    of_cells = np.repeat(middles[:, None], nodes.shape[1], axis=1)
+    # the last column counts the cells around a node, none around one that no cell has
+    sums = summed_at_nodes(V.dofmap.index_map, nodes, of_cells)[:own]
+    return np.hstack([points[:own], sums[:, :-1] / np.maximum(sums[:, -1:], 1.0)])
+
+
+def same_nodes(saved: Array, asked: Array) -> Indices | None:
+    """Return for each node its row in a file, by `surroundings`; None if the nodes differ."""
+    if saved.shape != asked.shape:
+        return None
+    accuracy = SAME_PLACE * float(np.ptp(asked, axis=0).max() if len(asked) > 1 else 1.0)
+    rows: Indices = KDTree(saved).query(asked, distance_upper_bound=accuracy)[1]
+    matched = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(saved)
+    return rows if matched else None
