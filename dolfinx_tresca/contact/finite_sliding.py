@@ -201,10 +201,12 @@ class FiniteSliding:
             held.x.scatter_forward()
             linear.frames = contact.frames_at(held)
             v = origin if frames is None else frames.deformation(origin)
-        w = linear.response_to_prescribed_values(contact.compliance.operator.solver, v)
-        w.x.array[:] += v.x.array
-        w = w if linear.frames is None else linear.frames.displacement(w)
-        linear.frames = frames
+        try:
+            w = linear.response_to_prescribed_values(contact.compliance.operator.solver, v)
+            w.x.array[:] += v.x.array
+            w = w if linear.frames is None else linear.frames.displacement(w)
+        finally:
+            linear.frames = frames
         change = w.x.array - origin.x.array
         moved, displaced = largest_sizes(contact.comm, change, w.x.array)
         if moved > ROUNDING * (contact.obstacles.extent + displaced):

@@ -176,7 +176,7 @@ def evaluate(
     openings: list[float] = []
     forces: list[Array] = []
     force = np.zeros(1 + u.function_space.mesh.geometry.dim)  # normal, and tangential vector
-    numbers = [(len(p.nodes), pressed[p.nodes].sum(), len(p.tangential)) for p in pairs]
+    numbers = np.array([(len(p.nodes), pressed[p.nodes].sum(), len(p.tangential)) for p in pairs])
     node_counts, pressed_counts, tangential_counts = reduce_array(comm, numbers).T.tolist()
     for pair, surface, tangential_count in zip(pairs, surfaces, tangential_counts, strict=True):
         operators, nodes = pair.operators, pair.nodes
