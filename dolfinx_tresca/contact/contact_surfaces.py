@@ -23,7 +23,7 @@ from dolfinx_tresca.dual.load_steps import SlipHistory, moved_jump
 from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.program import InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
-from dolfinx_tresca.errors import ContactError, InputError, StiffnessError
+from dolfinx_tresca.errors import ContactError, InputError, PairingError, StiffnessError
 from dolfinx_tresca.floating.rigid_modes import (
     RigidBodyModes,
     fixing_springs,
@@ -323,20 +323,23 @@ class ContactSurfaces(PetscOwner):
 
         Raises:
             InputError: the signed distance of an obstacle is wrong.
-            PairingError: the surfaces cannot be paired.
+            PairingError: the surfaces cannot be paired; they stay as they were.
             StiffnessError: a solve with K failed.
         """
-        moved, state = self.note_obstacles(), self._state
+        state, moved, finite = self.state, self.note_obstacles(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
-        finite = self._finite_sliding
-        for before, u, pairs in (
-            (state.geometry, geometry, ~finite),
-            (state.configuration, configuration, finite),
-        ):
-            differs = not (u is before or np.array_equal(u.x.array, before.x.array))
-            on_some_rank = self.comm.allreduce(differs, op=MPI.LOR)
-            self._pair_anew(u, pairs & (moved | on_some_rank))
+        try:
+            for before, u, pairs in (
+                (state.geometry, geometry, ~finite),
+                (state.configuration, configuration, finite),
+            ):
+                differs = not (u is before or np.array_equal(u.x.array, before.x.array))
+                on_some_rank = self.comm.allreduce(differs, op=MPI.LOR)
+                self._pair_anew(u, pairs & (moved | on_some_rank))
+        except PairingError:
+            self.return_to(state)
+            raise
         self._state = replace(self._state, configuration=configuration, geometry=geometry)
 
     def note_obstacles(self) -> Mask:

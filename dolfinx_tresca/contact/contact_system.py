@@ -68,7 +68,7 @@ class ContactSystem(ContactSurfaces):
     @property
     def displacement(self) -> fem.Function:
         """The displacement [length] of the last solution, or of nonlinear bodies the present u."""
-        return self.solution_for("its displacement").fields.u
+        return self.solution_for("update_geometry() without a displacement").fields.u
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""

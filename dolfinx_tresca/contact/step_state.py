@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -200,9 +199,7 @@ class StepState:
         origin = carry.residuals(self.history.origin)
         return self._on(jump, carry, replace(self.history, origin=origin))
 
-    def paired_at(
-        self, jump: JumpOperator, u: fem.Function, since_accepted: Sequence[bool] | Mask
-    ) -> StepState:
+    def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
         """Return the state on the B of displaced surfaces. Collective.
 
         Args:

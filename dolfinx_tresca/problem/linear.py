@@ -24,15 +24,8 @@ from dolfinx_tresca.derivatives.goals import GoalError, goal_error
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.derivatives.tape import ProcessTape
 from dolfinx_tresca.errors import ContactError, InputError
-from dolfinx_tresca.guaranteed.bound import (
-    GAIN,
-    Bodies,
-    Candidate,
-    Functional,
-    GuaranteedError,
-    GuaranteedGoal,
-    guaranteed_goal,
-)
+from dolfinx_tresca.guaranteed import bound
+from dolfinx_tresca.guaranteed.bound import GAIN, GuaranteedError, GuaranteedGoal
 from dolfinx_tresca.monitor import Observer
 from dolfinx_tresca.options import Accuracy, Method, SolverOptions
 from dolfinx_tresca.problem.process import ContactProcess, problem_to_agree
@@ -345,7 +338,7 @@ class ContactProblem(ContactProcess):
         """
         bodies, solved, gain = self._checked_for_bounds(gain)
         contact, linear = self._contact, self._contact.linear
-        functional = Functional.of_goal(goal, bodies, solved.dual)
+        functional = bound.Functional.of_goal(goal, bodies, solved.dual)
         multiple, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = multiple * functional.form if L is None else L + multiple * functional.form
         # differences of these solves count
@@ -353,7 +346,7 @@ class ContactProblem(ContactProcess):
         # the load of a force is balanced by the stress of `functional.w`
         balanced = load if functional.w is None else L
 
-        def candidate(t: float) -> Candidate:
+        def candidate(t: float) -> bound.Candidate:
             multiple.value = t
             contact.solve(options, self.units, lambda iteration: False)
             # the bound holds for any multipliers, converged or not
@@ -361,11 +354,11 @@ class ContactProblem(ContactProcess):
             return bodies.candidate(loaded.dual, loaded.multipliers, loaded.fields.u, balanced)
 
         with contact.restored(), linear.loaded(load):
-            return guaranteed_goal(
+            return bound.guaranteed_goal(
                 functional, bodies, solved.dual, solved.fields.u, candidate, gain
             )
 
-    def _checked_for_bounds(self, gain: Any) -> tuple[Bodies, StepSolution, float]:
+    def _checked_for_bounds(self, gain: Any) -> tuple[bound.Bodies, StepSolution, float]:
         """Check that the last solution has guaranteed bounds. Collective."""
         contact = self._contact
         solved = self._solved_for("a guaranteed bound")
@@ -378,7 +371,7 @@ class ContactProblem(ContactProcess):
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."
             )
-        return Bodies(contact.linear, solved.dual), solved, gain
+        return bound.Bodies(contact.linear, solved.dual), solved, gain
 
     @contextmanager
     def record(self) -> Iterator[ProcessTape]:

@@ -297,11 +297,12 @@ class TangentProblem(ContactSystem):
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
             return
         self._tangent_is_plain = False
-        self.tangent.added_forces = None
-        added = self._contact_springs(springs) if springs > 0.0 else None
-        if added is not None and proximal > 0.0:
-            reference = self._reference_stiffness(proximal)
-            added.axpy(1.0, reference, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        added, self.tangent.added_forces = None, None
+        if springs > 0.0:
+            added, self.tangent.added_forces = self._contact_springs(springs)
+            if proximal > 0.0:
+                reference = self._reference_stiffness(proximal)
+                added.axpy(1.0, reference, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self.tangent.added = added
         try:
             self.update_stiffness()
@@ -309,13 +310,13 @@ class TangentProblem(ContactSystem):
         finally:
             self.tangent.added = None
 
-    def _contact_springs(self, factor: float) -> PETSc.Mat:
-        """Return the springs B_a'C B_a, where B_a are the rows of B in contact. Collective.
+    def _contact_springs(self, factor: float) -> tuple[PETSc.Mat, Array]:
+        """Return the springs B_a'C B_a and their forces; B_a are the rows of B in contact.
 
-        The springs pull to the jumps t that contact prescribes, the gap and the slip origin: their
-        forces B_a'C (t - B_a u_k) are added to the load. So they exert no force where contact
+        The springs pull to the jumps t that contact prescribes, the gap and the slip origin, with
+        the forces B_a'C (t - B_a u_k) at owned unknowns. So they exert no force where contact
         holds, and do not change the solution of the step there. The factor is the stiffness C of a
-        spring relative to the stiffness of the row's node.
+        spring relative to the stiffness of the row's node. Collective.
         """
         jump, tangent = self.jump, self.tangent
         u = fem.Function(tangent.space)
@@ -332,8 +333,7 @@ class TangentProblem(ContactSystem):
         springs = B.transposeMatMult(B)
         rows.array *= missing
         B.multTranspose(rows, columns)
-        tangent.added_forces = np.array(columns.array)
-        return springs
+        return springs, np.array(columns.array)
 
     def _nodal_stiffness(self) -> Array:
         """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""

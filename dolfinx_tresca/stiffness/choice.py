@@ -61,8 +61,7 @@ class SolverRequest:
         check_type("petsc_options_prefix", self.prefix, str | None, "a string")
         if self.prefix is not None and self.prefix.startswith("-"):
             raise InputError(f"petsc_options_prefix has no leading hyphen, found '{self.prefix}'.")
-        solves = checked_integer("expected_solves", self.expected_solves)
-        object.__setattr__(self, "expected_solves", solves)
+        vars(self).update(expected_solves=checked_integer("expected_solves", self.expected_solves))
 
     def choose(
         self, size: float, dim: int, comm: Any, *, saddle: bool = False
