@@ -18,8 +18,8 @@ from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
     largest_over_ranks,
+    largest_sizes,
     log,
-    reduce_array,
     timed,
     warn,
 )
@@ -29,7 +29,6 @@ from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError
-from dolfinx_tresca.floating.equilibrium import Tools
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.result import ContactSolution
@@ -206,21 +205,15 @@ class ContactSystem(ContactSurfaces):
             products_before, krylov = operator.products, operator.solver.krylov_iterations
             history = self.history_of_solve()
             moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
-            tools = None
-            free_motions = self.obstacles.free_motions(jump, state.history.begun)
-            if free_motions:
-                if options.method != "projected_newton":
-                    raise InputError(
-                        "forces on obstacles and bolts need method='projected_newton'."
-                    )
-                rows = jump.by_pair, jump.stress_scale
-                tools = Tools.from_rows(free_motions, self.bodies, *rows)
+            tools = self.obstacles.tools(jump, self.bodies, state.history.begun)
+            if tools is not None and options.method != "projected_newton":
+                raise InputError("forces on obstacles and bolts need method='projected_newton'.")
             try:
                 dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
             except MechanismError as error:
                 motion = with_owned_values(self.linear.V, error.motion, "motion")
                 lengths = np.linalg.norm(owned_values(motion), axis=1)
-                greatest = reduce_array(self.comm, lengths.max(initial=0.0), MPI.MAX)
+                (greatest,) = largest_sizes(self.comm, lengths)
                 motion.x.array[:] /= greatest or 1.0  # zero where tools move
                 error.motion = motion
                 raise

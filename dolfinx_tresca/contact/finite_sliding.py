@@ -245,8 +245,7 @@ class FiniteSliding:
             begin, end = self._products(w - before.w, [before.u - before.w, residual])
             if begin > 0.0 > end:
                 fraction = _inside(begin / (begin - end))
-                between: Array = (1.0 - fraction) * before.u + fraction * u
-                return between
+                return np.asarray((1.0 - fraction) * before.u + fraction * u)
         if not alike:
             return u
         path = [*alike[-ANDERSON_DEPTH:], newest]

@@ -12,11 +12,12 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.floating.equilibrium import FreeMotion
+from dolfinx_tresca.floating.equilibrium import FreeMotion, Tools
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Preload
 from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
@@ -84,17 +85,18 @@ class Obstacles:
             )
         return axis
 
-    def free_motions(self, jump: JumpOperator, begun: bool) -> list[FreeMotion]:
-        """Return the motions of obstacles held by forces, and of bolts that are pulled. Collective.
+    def tools(self, jump: JumpOperator, bodies: Bodies, begun: bool) -> Tools | None:
+        """Return the obstacles held by forces, and the bolts that are pulled. Collective.
 
-        The first accepted load step locks the bolts: the process has then `begun`.
+        The result is None if there are none. The first accepted load step locks the bolts: the
+        process has then `begun`.
         """
-        result: list[FreeMotion] = []
+        motions: list[FreeMotion] = []
         for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
             if isinstance(pair.friction, Preload) and not begun:
                 direction = np.append(self.axis(number, jump.pairs[number]), np.zeros(3))
                 force, point = pair.friction.value, np.zeros(3)
-                result.append(
+                motions.append(
                     FreeMotion(f"bolt {pair}", "overlap", [number], direction, point, force)
                 )
             elif obstacle is not None and obstacle.given_forces is not None:
@@ -102,10 +104,12 @@ class Obstacles:
                     raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")
                 numbers = [k for k, primary in enumerate(self._obstacles) if primary is obstacle]
                 if number == numbers[0]:
-                    result += self._motions_of(obstacle, obstacle.given_forces, numbers, jump)
-        if result and jump.system.is_tangent:
+                    motions += self._motions_of(obstacle, obstacle.given_forces, numbers, jump)
+        if not motions:
+            return None
+        if jump.system.is_tangent:
             raise InputError("obstacles held by forces, and preloads, need a ContactProblem.")
-        return result
+        return Tools.from_rows(motions, bodies, jump.by_pair, jump.stress_scale)
 
     def _motions_of(
         self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator

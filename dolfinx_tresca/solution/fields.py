@@ -126,8 +126,7 @@ class SurfaceFields:
     @property
     def points(self) -> Array:
         """(n, 3) coordinates of the nodes [length]."""
-        points: Array = self.pressure.function_space.tabulate_dof_coordinates()
-        return points
+        return np.asarray(self.pressure.function_space.tabulate_dof_coordinates())
 
     @property
     def touching(self) -> Mask:
