@@ -146,11 +146,7 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
     return results[0]
 
 
-def check_agreement(
-    comm: MPI.Comm,
-    where: str,
-    values: Callable[[], Mapping[str, Any]],
-) -> None:
+def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str, Any]]) -> None:
     """Check that the ranks are in the same call and give it equal values. Collective.
 
     Args:

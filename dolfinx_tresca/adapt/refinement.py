@@ -38,9 +38,7 @@ NEARLY = 0.8
 
 @collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
 def refine(
-    tagged_mesh: TaggedMesh,
-    cell_errors: fem.Function | Array,
-    fraction: float = 0.5,
+    tagged_mesh: TaggedMesh, cell_errors: fem.Function | Array, fraction: float = 0.5
 ) -> TaggedMesh:
     """Return a mesh with smaller cells where errors are large, and the same tags. Collective.
 
@@ -175,10 +173,7 @@ def bisected(mesh: Any, marked: Mask) -> Bisection:
 
 
 def snapped(
-    bisection: Bisection,
-    facets: Indices,
-    tags: LocalNumbers,
-    surfaces: Mapping[int, ExactSurface],
+    bisection: Bisection, facets: Indices, tags: LocalNumbers, surfaces: Mapping[int, ExactSurface]
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
 

@@ -30,11 +30,7 @@ from dolfinx_tresca._base.parallel import (
     log,
 )
 from dolfinx_tresca._base.tolerances import FORCING
-from dolfinx_tresca.adapt.refinement import (
-    check_tagged_mesh,
-    checked_cell_errors,
-    refine,
-)
+from dolfinx_tresca.adapt.refinement import check_tagged_mesh, checked_cell_errors, refine
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError, InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem

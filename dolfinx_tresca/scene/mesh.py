@@ -123,12 +123,7 @@ class TaggedMesh:
 
 @collective(comm_of("comm"), ignored=("path",))
 def read_gmsh(
-    path: Any,
-    comm: MPI.Comm,
-    *,
-    size: Any = None,
-    unit: Any = "mm",
-    **parameters: float,
+    path: Any, comm: MPI.Comm, *, size: Any = None, unit: Any = "mm", **parameters: float
 ) -> TaggedMesh:
     """Mesh a CAD file or a `.geo` file, or load a mesh, with the names of bodies and faces.
 
