@@ -63,9 +63,8 @@ def contact_normals(own: Array, partner: Array, own_turn: Array, partner_turn: A
     Args:
         own: (..., 3) outward unit normals of the secondary side.
         partner: (..., 3) outward unit normals of the primary side at the opposite points.
-        own_turn: (...) angles by which the normals of the secondary side turn over their facets
-            [rad].
-        partner_turn: (...) angles by which the normals of the primary side turn [rad].
+        own_turn: (...) angles by which normals turn over facets of the secondary side [rad].
+        partner_turn: (...) angles by which normals turn over facets of the primary side [rad].
     """
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[..., None]  # of the own normal
@@ -104,15 +103,11 @@ class SmoothSurface:
             least a right angle where the smooth surface ends [rad]: normals are less accurate at
             both, and the partner's decide. The surface ends at sharp edges and at rims, in 3D only
             if it is curved there.
-        corner_normals: (n, corners, 3) outward unit normals of the surface at the corners of
-            facets.
+        corner_normals: (n, corners, 3) outward unit normals of the surface at corners of facets.
     """
 
     def __init__(self, nodes: SurfaceNodes) -> None:
-        """Fit the surface. Not collective.
-
-        The result is valid for facets around which two rings of neighbours are on this rank.
-        """
+        """Fit the surface; valid for facets with two rings on this rank. Not collective."""
         facets, corner_nodes, rim = nodes.facets, nodes.facet_nodes, _rim_nodes(nodes)
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
@@ -122,7 +117,7 @@ class SmoothSurface:
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
         turns_at_kinks = turned_angles(self._cosines())
-        self._heights = self._fitted_heights(smooth)
+        self._height_factors = self._fitted_heights(smooth)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
         kinked = ((1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0))[:, None]
         self.corner_normals += kinked[:, None] * (
@@ -147,17 +142,15 @@ class SmoothSurface:
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
         # facets whose geometry is known go on at rims
         at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
-        self.turning = bool(self._heights.any() or (self.turns > FLAT_ANGLE).any())
+        self.turning = bool(self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
 
     def _fitted_heights(self, smooth: Array) -> Array:
         """Return the factors (n, pairs) of products of two hat functions in heights [length].
 
-        They are all zero if facets are bent, or if no height of this rank is above rounding.
-
-        Args:
-            smooth: (n,) factor of `_smoothness`.
+        They are zero if facets are bent, or if no height of this rank is above rounding; `smooth`
+        (n,) is the factor of `_smoothness`.
         """
         facets, (start, end) = self.facets, self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
@@ -183,13 +176,9 @@ class SmoothSurface:
     def _smoothness(self, nodes: SurfaceNodes, rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
-        Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
-        surround its other corners. If there are none, the facets of a curve count as kinked. On a
-        surface (3D), such as a strip one facet wide, the least smooth facet around counts.
-
-        Args:
-            nodes: the corners of the facets.
-            rim: (nodes,) whether a node is at the rim.
+        Nodal normals at the rim (nodes,) are less accurate, so a facet there is as smooth as those
+        that surround its other corners. If there are none, the facets of a curve count as kinked.
+        On a surface (3D), such as a strip one facet wide, the least smooth facet around counts.
         """
         start, end = self._slopes()
         turned = np.abs(end - start).max(axis=1, initial=0.0)
@@ -209,12 +198,9 @@ class SmoothSurface:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
 
         With the end c of a curve and the other corner d of its facet (n_c + n_d).(x_d - x_c)
-        becomes zero, as far as the curve is smooth at d. (In 3D a node at the rim has neighbours
-        enough for its fitted normal.)
-
-        Args:
-            at_rim: (n, 2) whether the corners of each facet are at an end.
-            smooth: (n,) factor of `_smoothness`.
+        becomes zero, as far as the curve is smooth at d (`_smoothness`, (n,)). In 3D a node at the
+        rim has neighbours enough for its fitted normal. `at_rim` (n, 2) tells which corners are at
+        an end.
         """
         for c, d in ((0, 1), (1, 0)):
             ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
@@ -225,36 +211,22 @@ class SmoothSurface:
         self.corner_normals = unit(self.corner_normals)
 
     def points(self, facet: Indices, x: Array) -> Array:
-        """Return points (n, q, 3) of the fitted surface over facets (n,) [length].
-
-        Args:
-            facet: the facets.
-            x: (q, dim) reference coordinates, the same for all facets.
-        """
+        """Return points (n, q, 3) of the fitted surface over facets (n,) at x (q, dim) [length]."""
         points = self.facets.basis(x) @ self.facets.points[facet]
         hats = np.tile(self.facets.hats(x), (len(facet), 1))
         heights = self.heights(np.repeat(facet, len(x)), hats).reshape(points.shape[:2])
         return np.asarray(points + heights[:, :, None] * self._facet_normals[facet][:, None])
 
     def heights(self, facet: Indices, hats: Array) -> Array:
-        """Return the fitted heights (n,) over facets, along the outward normal [length].
-
-        Args:
-            facet: (n,) the facet of each point.
-            hats: (n, corners) values of the facet's hat functions at each point.
-        """
+        """Return the fitted heights (n,) of points with `hats` (n, corners) over facets (n,)."""
         products = hats[:, self._first] * hats[:, self._second]
-        return dots(products, self._heights[facet])
+        return dots(products, self._height_factors[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
-        """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
+        """Return vectors (n, 3) from points x (n, dim) on facets (n,) to the surface; its normals (n, 3).
 
         This is the exact surface where it is known, else the fitted one; bent facets are their own
         surface, with offset zero.
-
-        Args:
-            facet: (n,) the facet of each point.
-            x: (n, dim) reference coordinates of each point on its facet.
         """
         facets = self.facets
         hats = facets.hats(x)
@@ -278,19 +250,12 @@ class SmoothSurface:
         partner_facet: Indices,
         partner_normals: Array,
     ) -> Mask:
-        """Return whether this surface and another one may touch at opposite points, (n,).
+        """Return whether this surface and a partner may touch at opposite points (n,).
 
-        They may if their normals are opposed (`OPPOSED_ANGLE`). Beside a sharp edge they may also
-        if the partner is opposed to the edge, whose normals are all between those of the patches
-        that meet there. But where it is opposed to a patch across the edge, the contact is on that
-        patch: this facet only recedes from the partner.
-
-        Args:
-            facet: (n,) the facet of each point.
-            normals: (n, 3) outward unit normals at the points.
-            partner: the other surface.
-            partner_facet: (n,) the facet of each opposite point.
-            partner_normals: (n, 3) outward unit normals at the opposite points.
+        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`). Beside a sharp
+        edge they may also if the partner is opposed to the edge, whose normals are all between
+        those of the patches that meet there. But where it is opposed to a patch across the edge,
+        the contact is on that patch: this facet only recedes from the partner.
         """
         turned = self.turns[facet] + partner.turns[partner_facet]
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
@@ -319,11 +284,7 @@ def _normals_across_edges(nodes: SurfaceNodes) -> Array:
 
 
 def turned_angles(cosines: Array) -> Array:
-    """Return the angles (n,) by which normals turn over facets [rad].
-
-    Args:
-        cosines: (n, corners) cosines between the normals at the corners and at the centre.
-    """
+    """Return the angles (n,) by which normals turn, given cosines (n, corners) to the mean."""
     least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
     return np.asarray(2.0 * np.arccos(least))
 
@@ -343,18 +304,12 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
     The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
-    with facets of different sizes and shapes, as after local refinement, the error of the mean is a
-    fixed part of the angle between facets. Then the relative error of the sagitta (the height of
-    the surface over a facet) does not vanish as the mesh is refined. A least-squares fit of a
-    quadratic height function does not have this error (Cazals and Pouget 2005, Estimating
-    differential quantities using polynomial fitting of osculating jets). With too few neighbours
-    the mean normal is kept. The result is valid at nodes whose adjacent facets are all on this
-    rank.
-
-    Not collective.
-
-    Args:
-        nodes: the corners of the facets of a surface.
+    with facets of different sizes and shapes, as after local refinement, its error is a fixed part
+    of the angle between facets, and the relative error of the sagitta (the height of the surface
+    over a facet) does not vanish as the mesh is refined. A least-squares fit of a quadratic height
+    function does not have this error (Cazals and Pouget 2005, Estimating differential quantities
+    using polynomial fitting of osculating jets). With too few neighbours the mean normal is kept.
+    The result is valid at nodes whose adjacent facets are all on this rank. Not collective.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()

@@ -76,25 +76,17 @@ SAME_MEANS = 1e-3
 def corners_that_carry(
     V: Any, nodes: SurfaceNodes, integrals: FacetIntegrals, shared: Mask
 ) -> Mask:
-    """Return the mask of the corners of facets that carry multipliers. Collective.
+    """Return the mask (facets, corners) of the corners that carry multipliers. Collective.
 
     The other corners give their part of the overlap to their neighbours: these are nodes beyond the
     rim of the overlap. A part of the area of such a node may be covered, but the node itself does
     not face the primary side. If it had a multiplier, the primary side would seem to extend up to
     the node: the nodal force would be as large as for a whole facet, and the pressure, this force
-    divided by the covered area, would be far too large.
+    divided by the covered area, would be far too large. If no corner of a facet would have a
+    multiplier, the corner with the largest covered part keeps its multiplier.
 
-    If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
-    its multiplier.
-
-    Args:
-        V: the space of the displacement.
-        nodes: nodes of the secondary side.
-        integrals: the integrals over the overlap.
-        shared: (n,) whether a node also belongs to the primary side.
-
-    Returns:
-        (facets, corners) the mask; the same for a node on all ranks that have it.
+    All ranks that have a node decide alike; `shared` (n,) are nodes that also belong to the primary
+    side.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     covered = nodes.reduced(np.add, weights, 0.0)
@@ -144,8 +136,8 @@ def nodes_with_multipliers(
             a surface that touches itself, see `redundant_nodes`.
 
     Raises:
-        PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
-            error if nodes could carry multipliers in other positions of the bodies.
+        PairingError: no node of any rank carries a multiplier. With finite sliding this is no error
+            if nodes could carry multipliers in other positions of the bodies.
     """
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
@@ -349,10 +341,10 @@ def mortar_rows(
         carries: (facets, corners) whether a corner has a multiplier, see `couple`.
 
     Returns:
-        For each of the nodes (n,) the covered area [length^2, in 2D length]; the sparse matrix
-        (n, nodes of V) of the jump, secondary minus primary, and the one of its primary part; and
-        (n, 9) the means of the six quantities of `FacetIntegrals.means`, and the three coordinates
-        of the point of application of the nodal force.
+        For each of the nodes (n,) the covered area [length^2, in 2D length]; the sparse matrix (n,
+        nodes of V) of the jump, secondary minus primary, and that of its primary part; and (n, 9)
+        the means of the six quantities of `FacetIntegrals.means`, and the three coordinates of the
+        point of application of the nodal force.
     """
     corners = nodes.facet_nodes
     sizes = np.einsum("nij,njk->ni", redistribution(carries), integrals.hats)
@@ -378,15 +370,14 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
     (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i
     for i = j, and zero otherwise. So a nodal pressure is the nodal force divided by the node's
     covered area. If corners have no multiplier, their hat functions are first added, in equal
-    parts, to the hat functions of the other corners of the facet, and the basis is biorthogonal to
-    these sums. In both cases the basis functions sum to 1, so that constant pressures are
-    transferred exactly.
+    parts, to those of the other corners of the facet, and the basis is biorthogonal to these sums;
+    a facet without multipliers has no basis functions. In both cases the basis functions sum to 1,
+    so that constant pressures are transferred exactly.
 
     Args:
         hats: (n, corners, corners) integrals of the products of two hat functions over the covered
             parts of facets.
-        carries: (n, corners) whether a corner carries a multiplier. A facet without such corners
-            has no basis functions.
+        carries: (n, corners) whether a corner carries a multiplier.
     """
     every = np.eye(hats.shape[1])
     sums = redistribution(carries)
@@ -402,12 +393,9 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
 def redistribution(receives: Mask) -> Array:
     """Return matrices (n, corners, corners) that distribute values at the corners of facets.
 
-    The values of corners that are not in `receives` become zero, and are added in equal parts to
-    those of the corners in `receives`. The sum over the corners of a facet does not change, so that
-    a facet transfers a constant pressure even if some of its corners have no multiplier.
-
-    Args:
-        receives: (n, corners) whether a corner receives values of other corners.
+    The values of corners that are not in `receives` (n, corners) become zero, and are added in
+    equal parts to those of the other corners. The sum over a facet does not change, so that it
+    transfers a constant pressure even if some of its corners have no multiplier.
     """
     number = np.maximum(receives.sum(axis=1), 1)[:, None, None]
     shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / number)
@@ -417,16 +405,10 @@ def redistribution(receives: Mask) -> Array:
 def assemble_rows(
     nodes: SurfaceNodes, rows: Indices, columns: GlobalNumbers, values: Array, width: int
 ) -> Any:
-    """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, width).
+    """Assemble blocks (n, corners, k), one for each facet, into a sparse matrix (nodes, width).
 
-    Entries that are rounding errors (`ENTRY_ROUNDING`) are left out.
-
-    Args:
-        nodes: the secondary nodes, one row for each.
-        rows: (n, corners) indices in `nodes` of the rows of each block.
-        columns: (n, k) global numbers of the columns of each block.
-        values: (n, corners, k) the blocks.
-        width: number of columns of the matrix.
+    Entries that are rounding errors (`ENTRY_ROUNDING`) are left out. The blocks have the rows (n,
+    corners), as indices in `nodes`, and the global columns (n, k).
     """
     places = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
     entries = values.ravel(), (places[0].ravel(), places[1].ravel())
@@ -442,11 +424,8 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
     Primary nodes whose share of the mean is at most `NEGLIGIBLE`, and nodes within edges of facets
-    of degree 2, do not count. A node that faces no primary node is free in no direction.
-
-    Args:
-        primary: (n, nodes of V) sparse matrix of the means over the primary side.
-        facets: facets of the primary side.
+    of degree 2, do not count. A node that faces no primary node is free in no direction. `primary`
+    (n, nodes of V) has the means over the primary side.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     counts = np.abs(primary.data) > NEGLIGIBLE
@@ -506,9 +485,7 @@ def _normals_and_room(
 def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
     """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
 
-    Args:
-        normals: (n, d) unit normals.
-        room: (n, d, d) projections onto the available directions.
+    `room` (n, d, d) are projections onto the available directions.
     """
     along = tangents(normals)
     limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))

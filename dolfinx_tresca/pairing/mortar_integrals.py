@@ -119,8 +119,7 @@ class MortarIntegrals(FacetIntegrals):
         Args:
             secondary: the secondary side.
             primary: the primary side.
-            selected: (m,) indices of the secondary facets to integrate over; the integrals of all
-                other facets are zero.
+            selected: (m,) the secondary facets to integrate over; all other integrals are zero.
             limit: search distance, beyond which no points are paired [length].
             may_meet: function that tells of (p,) secondary and (p,) primary facets whether both may
                 be paired, (p,).
@@ -181,7 +180,7 @@ class MortarIntegrals(FacetIntegrals):
         secondary piece. All pairs of a secondary piece are in the same block.
 
         Args:
-            mine: (m,) indices of the secondary pieces to pair, ascending.
+            mine: (m,) secondary pieces to pair, ascending.
             limit: (pieces,) search distance of each secondary piece [length].
         """
         pieces, partners = self._pieces, self._others
@@ -329,13 +328,6 @@ def obstacle_integrals(
     also seen between the nodes (`_see_between_nodes`). Only facets that face the obstacle
     contribute. A warning tells how far an undeformed body is entered unseen, unless it is `moved`.
 
-    Args:
-        comm: the communicator.
-        pair: the contact pair, for the warning.
-        obstacle: the obstacle.
-        nodes: the nodes of the surface.
-        moved: whether the surface is displaced.
-
     Returns:
         The nodes, with the facets of all patches at one entry of each node, since the patches share
         the normal of the obstacle; the integrals; and whether a facet faces the obstacle at its
@@ -406,7 +398,7 @@ def _warn_of_unseen(
         comm: the communicator.
         pair: the contact pair.
         depth: (n,) depth by which the obstacle enters each facet [length].
-        seen: (n,) the part of the depth that nodes, or means between nodes, see [length].
+        seen: (n,) the part of it that nodes, or means between nodes, see [length].
         turns: (n,) angle by which the obstacle's normal turns over each facet [rad].
         extent: largest coordinate of the facets [length].
     """
@@ -428,7 +420,7 @@ def _warn_of_unseen(
 
 
 def _at(obstacle: RigidObstacle, points: Array) -> tuple[Array, Array]:
-    """Return the distances (n, q) and normals (n, q, 3) of an obstacle at points (n, q, 3)."""
+    """Return distances (n, q) and normals (n, q, 3) of an obstacle at points (n, q, 3)."""
     distance, normals = obstacle.at(points.reshape(-1, 3))
     return distance.reshape(points.shape[:2]), normals.reshape(points.shape)
 
@@ -451,13 +443,8 @@ def _see_between_nodes(
     bodies are too stiff, and the mean over whole facets is positive though the obstacle enters
     them. Not collective.
 
-    Args:
-        obstacle: the obstacle.
-        nodes: the nodes of the surface.
-        surface: the smooth surface.
-        turns: (n,) angle by which the obstacle's normal turns over each facet [rad]; zero for
-            facets that do not face it.
-        integrals: the integrals for the values at nodes, which are changed in place.
+    The integrals for the values at nodes are changed in place; `turns` (n,) is the angle by which
+    the obstacle's normal turns over each facet [rad], zero for facets that do not face it.
 
     Returns:
         (m,) the facets for which the integrals have changed. Their hat functions count as dual.

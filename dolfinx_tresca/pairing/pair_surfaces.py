@@ -43,9 +43,7 @@ def pair_surfaces(
 def pair_group(
     V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs, for the present positions of the mesh's nodes.
-
-    Collective.
+    """Compute N, T and the gap of pairs, for the present positions of the mesh's nodes. Collective.
 
     Args:
         V: vector space of degree 1 or 2.
@@ -66,12 +64,8 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
     """Compute N, T and the gap of pairs in the configuration displaced by u. Collective.
 
     The gap in the result is the distance between the displaced surfaces. The gap for displacements
-    from the undeformed surfaces is this gap plus N u, with the N in the result.
-
-    Args:
-        V: the space of the displacement.
-        undeformed: the undeformed surfaces of a group of pairs.
-        u: (nodes, dim of space) displacement of this rank's nodes [length], from `straightened`.
+    from the undeformed surfaces is this gap plus N u, with the N in the result. `u` (nodes, dim of
+    space) is the displacement of this rank's nodes [length], from `straightened`.
 
     Raises:
         InputError: the signed distance of the obstacle is wrong.
@@ -83,11 +77,7 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
 def _pair(
     V: Any, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs from the facets of their sides. Collective.
-
-    Raises:
-        PairingError: see `pair_group`.
-    """
+    """Compute N, T and the gap of pairs from their facets, see `pair_group`. Collective."""
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
     owned = sides[pair.secondary]
@@ -176,14 +166,13 @@ def _surface_nodes(
 
     The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
     there. Coincident nodes have the same coordinates and are sent to the same rank, which counts
-    them.
-    Nodes that also belong to facets with other tags, such as coincident corners of adjacent bricks,
-    and surfaces that touch themselves, are not checked.
+    them. Nodes that also belong to facets with other tags, such as coincident corners of adjacent
+    bricks, and surfaces that touch themselves, are not checked.
 
     Args:
         V: the space of the displacement.
         pair: the contact pair.
-        side: "secondary" or "primary".
+        side: the name of the side.
         owned: the facets of the side that this rank owns.
         halo: these facets, and those of other ranks that the pairing depends on.
         moved: whether the surface is displaced.

@@ -39,10 +39,6 @@ PARALLEL = 1e-30
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
     """Concatenate the integer ranges starts[i], ..., starts[i] + numbers[i] - 1.
 
-    Args:
-        starts: (n,) first members of the ranges.
-        numbers: (n,) lengths of the ranges.
-
     Returns:
         The index i (m,) of the range of each member, and the members (m,).
     """
@@ -67,7 +63,7 @@ def blocks(count: int) -> Iterator[slice]:
 def line_intervals(
     box: Array, origins: Array, directions: Array, reach: Array
 ) -> tuple[Array, Array]:
-    """Intersect lines with a box (2, 3), widened on all sides.
+    """Intersect lines with a box (2, 3), widened on all sides by the reach of each line.
 
     Args:
         box: the least and the greatest coordinates [length].
@@ -76,8 +72,8 @@ def line_intervals(
         reach: (n,) distance by which the box is widened for each line [length].
 
     Returns:
-        The parameters (n,) at which the lines enter the box, and the parameters (n,) at which they
-        leave it [length]. If a line misses the box, its first parameter is the greater one.
+        The parameters (n,) at which the lines enter the box and leave it [length]; the first one is
+        the greater one if a line misses the box.
     """
     # a line that is parallel to a side of the box meets its plane far away
     slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
@@ -169,12 +165,10 @@ class Pieces:
             centres: (n, 3) centres of the moving balls [length].
             normals: (n, 3) unit normals of the moving balls.
             radii: (n,) radii of the moving balls [length].
-            limit: (n,) search distance in both directions [length]; pieces slightly beyond it may
-                be found, too.
+            limit: (n,) search distance both ways [length]; pieces slightly beyond may be met, too.
 
         Returns:
-            The pairs as indices (m,) of the moving balls, ascending, and indices (m,) of the pieces
-            that they meet.
+            The moving ball (m,) of each pair, ascending, and the piece (m,) that it meets.
         """
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
@@ -214,10 +208,7 @@ class Pieces:
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
 
     def near(self, points: Array, reach: Array) -> tuple[Indices, Indices]:
-        """Return the pairs of points (n, 3) and pieces that are nearer than reach (n,) [length].
-
-        The pairs are indices (m,) of the points, ascending, and of the pieces (m,).
-        """
+        """Return pairs of points (n, 3), ascending, and pieces nearer than reach (n,) [length]."""
         within = reach + self.radii.max(initial=0.0)
         point, piece = flattened(cKDTree(self.centres).query_ball_point(points, within))
         is_near = self.distances(piece, points[point]) < reach[point]
@@ -257,12 +248,7 @@ def at_own_nodes(V: Any, facets: Facets) -> Indices:
 
 
 def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
-    """Return all facets with a corner that this rank owns. Collective.
-
-    Args:
-        V: the space of the displacement.
-        owned: the facets that this rank owns.
-    """
+    """Return all facets with a corner that this rank owns, given its own facets. Collective."""
     ends = V.mesh.comm.allgather(V.dofmap.index_map.local_range[1])
     ranks = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
     facet = np.repeat(np.arange(len(ranks)), owned.corners)
@@ -280,7 +266,7 @@ def near_lines(
 ) -> Facets:
     """Return this rank's facets and those of all ranks that are close to lines. Collective.
 
-    See `Balls.on_normals`. Lines without length are points.
+    See `Pieces.on_normals`. Lines without length are points.
 
     Args:
         comm: the communicator.
@@ -288,8 +274,7 @@ def near_lines(
         points: (n, 3) a point of each line [length].
         directions: (n, 3) unit vectors along the lines.
         reach: (n,) distance within which facets are close [length].
-        length: length of the lines in both directions from their points [length]; a number, or an
-            array (n,).
+        length: length of the lines both ways from their points [length], a number or (n,).
     """
     if comm.size == 1:
         return owned
@@ -318,21 +303,15 @@ def near_lines(
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
-    """Send facets (n,) of those that a rank owns to ranks (n,). Collective.
+    """Send facets (n,) of this rank to ranks (n,). Collective.
 
-    Returns:
-        The facets that this rank owns, and those that were sent to it.
+    The result has the facets that this rank owns, and those that were sent to it.
     """
-    arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
-    count = len(owned.points)
-    kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
-    records = np.empty(count, dtype=kinds)
-    for name, array in arrays.items():
-        records[name] = array
-    kept = np.arange(count) * comm.size + comm.rank
+    kept = np.arange(len(owned.points)) * comm.size + comm.rank
     facet, rank = np.divmod(np.union1d(kept, facet * comm.size + rank), comm.size)
-    rows, _ = exchange(comm, records[facet], rank)
-    received: dict[str, Any] = {name: rows[name].copy() for name in FACET_ARRAYS}
+    received: dict[str, Any] = {
+        name: exchange(comm, getattr(owned, name)[facet], rank)[0] for name in FACET_ARRAYS
+    }
     return replace(owned, **received)
 
 
@@ -351,13 +330,8 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
 
     These are the facets of both sides that lie along the normals of the rank's facets; if facets of
     the rank penetrate the primary side, the primary facets near them; and two rings of facets
-    around paired facets, see `with_neighbours`.
-
-    Args:
-        V: the space of the displacement.
-        secondary: facets of the secondary side that this rank owns.
-        primary: facets of the primary side that this rank owns.
-        limit: search distance, beyond which no points are paired [length].
+    around paired facets, see `with_neighbours`. The facets that this rank owns are given; `limit`
+    is the search distance, beyond which no points are paired [length].
     """
     comm = V.mesh.comm
     if comm.size == 1:

@@ -72,14 +72,7 @@ class Visibility:
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
-        """Keep the pieces of both sides.
-
-        Args:
-            pieces: pieces of the secondary side.
-            partners: pieces of the primary side.
-            body: (n,) the body of each piece of a surface that touches itself, where `partners` are
-                the same pieces; None for two surfaces.
-        """
+        """Keep the pieces of both sides; `body` of each piece, if the surface touches itself."""
         self._pieces, self._others, self._body = pieces, partners, body
 
     def hidden(
@@ -89,8 +82,7 @@ class Visibility:
 
         Args:
             piece: (n,) the secondary piece of each point, ascending.
-            places: (n, d) position of each point in the plane of the piece, relative to the centre
-                of the piece [length].
+            places: (n, d) point in the plane of the piece, relative to its centre [length].
             start: (n,) height of the secondary side over the plane, along the normal [length].
             end: (n,) height of the primary side over the plane [length].
             partner: (n,) the primary piece of each point.
@@ -135,9 +127,9 @@ class Visibility:
             reach: (n,) largest distance from the plane at which a crossing matters [length].
 
         Yields:
-            The normals (m,) that cross a facet, as indices of `piece`; the facets (m,) among the
-            pieces of their side; the heights (m,) of the crossings over the planes [length]; and
-            whether the normal of the facet is on the same side of the plane as the piece's (m,).
+            The normals (m,) that cross a facet; the facets (m,), as pieces of their side; the
+            heights (m,) of the crossings over the planes [length]; and whether both normals point
+            to the same side of the plane (m,).
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
@@ -163,16 +155,11 @@ class Visibility:
             yield point, facet[row], height, normals[row, -1] > 0.0
 
     def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
-        """Return whether facets (n,) of one side, near the normal of a piece, may hide its points.
+        """Return whether facets (n,) of one side may hide points of the pieces (n,) below them.
 
         Segments end at primary facets whose normals are opposed, so these hide nothing. Of the
         secondary side the piece itself, and facets in its plane, hide nothing; nor do facets with a
         common node and a similar normal, which a segment crosses at its own start.
-
-        Args:
-            own: whether the facets are on the secondary side.
-            piece: (n,) the secondary piece.
-            facet: (n,) the facet among the pieces of its side.
         """
         pieces, side = self._pieces, self._pieces if own else self._others
         normal, their_normal = pieces.normals[piece], side.normals[facet]
@@ -195,8 +182,7 @@ class Visibility:
         """Return whether points (n,) penetrate far more than their distance from the primary side.
 
         This is so if the distance is less than `CREDIBLE_PART` times the penetration. On a surface
-        that touches itself only other bodies count as primary side. The arguments are those of
-        `hidden`.
+        that touches itself only other bodies count. For the arguments see `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -230,12 +216,11 @@ def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Arr
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
     Args:
-        own: (n, a, d) corners of the first segments (d = 1, a = 2) or convex polygons (d = 2),
-            clockwise or counter-clockwise.
-        partners: (n, b, d) corners of the second segments or polygons, in either order.
-        centred: whether polygons are cut into triangles round their centroid, instead of a fan of
-            triangles from one of their corners. This gives more triangles, but they do not depend
-            on rounding or on the order of the corners.
+        own: (n, a, d) corners of segments (d = 1, a = 2) or convex polygons (d = 2), in either
+            order.
+        partners: (n, b, d) corners of the partners of the same kind.
+        centred: whether polygons are cut into triangles round their centroid, and not in a fan from
+            one of their corners. There are more of them then, but they do not depend on rounding.
 
     Returns:
         The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
@@ -266,12 +251,7 @@ def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Arr
 
 
 def _triangle_fans(tip: Array, polygons: Array) -> tuple[Array, Array]:
-    """Return triangles (n, c, 3, 2) between `tip` (n, 2) and sides of polygons, with areas (n, c).
-
-    Args:
-        tip: the corner that all triangles of a polygon have in common.
-        polygons: (n, c, 2) corners of the polygons.
-    """
+    """Return triangles (n, c, 3, 2), and their areas, from tips (n, 2) to sides of polygons."""
     following = np.roll(polygons, -1, axis=1)
     fans = np.stack([np.broadcast_to(tip[:, None], polygons.shape), polygons, following], axis=2)
     return fans, 0.5 * np.abs(_cross(polygons - tip[:, None], following - tip[:, None]))
@@ -280,11 +260,10 @@ def _triangle_fans(tip: Array, polygons: Array) -> tuple[Array, Array]:
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     """Return the part (n, c, 2) of each convex polygon on the left of its line.
 
-    The line of each polygon goes through a point `start` (n, 2) in the direction `along` (n, 2).
-    The result has the largest number c of corners (Sutherland and Hodgman 1974): polygons with
-    fewer corners repeat their last corner, and all corners of an empty polygon are equal. If
-    corners coincide up to rounding, a polygon may cross its line more than twice; all crossings are
-    kept.
+    The line goes through `start` (n, 2) in the direction `along` (n, 2). The result has the largest
+    number c of corners (Sutherland and Hodgman 1974): polygons with fewer corners repeat their last
+    one, and all corners of an empty polygon are equal. If corners coincide up to rounding, a
+    polygon may cross its line more than twice; all crossings are kept.
     """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -321,7 +300,7 @@ def weights_of_nearest(
     """Set the weights of quadrature points to zero where a nearer simplex covers the point.
 
     The overlap of each pair of pieces is cut into simplices, each with the same number of
-    quadrature points. Where simplices of two pairs overlap, the simplex with the smaller mean |gap|
+    quadrature points. Where simplices of two pairs overlap, that with the smaller mean |gap|
     counts.
 
     Args:
@@ -333,9 +312,6 @@ def weights_of_nearest(
         gap: (points,) gap along the normal [length], positive if open.
         weight: (points,) quadrature weights, 0 for points that are already excluded.
         piece_area: (pieces,) sizes of all secondary pieces [length^d].
-
-    Returns:
-        The new weights (points,).
     """
     if len(pair) == 0:
         return weight
@@ -398,14 +374,13 @@ class SelfContact:
     def may_meet(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
-        Facets of one body may not meet if they are neighbours, or if they are the two faces of a
-        wall. Neighbours share a corner and do not face each other in the undeformed mesh; the two
-        lips of a crack also share corners at its tip, but face each other. Two facets are the faces
-        of a wall if each is behind the other, deeper than facets of curved surfaces penetrate each
-        other (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than
-        touching lips (`NEGLIGIBLE`). This must be so both in the undeformed mesh and in the
-        present configuration, and the present depth must exceed `WALL_PART` of the undeformed
-        depth.
+        Facets of one body may not meet if they are neighbours, or the two faces of a wall.
+        Neighbours share a corner and do not face each other in the undeformed mesh; the two lips of
+        a crack also share corners at its tip, but face each other. Two facets are the faces of a
+        wall if each is behind the other, deeper than facets of curved surfaces penetrate each other
+        (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than touching
+        lips (`NEGLIGIBLE`). This must be so both in the undeformed mesh and in the present
+        configuration, and the present depth must exceed `WALL_PART` of the undeformed depth.
         """
         result = np.ones(len(facet), dtype=np.bool_)
         in_one_body = np.flatnonzero(self.body[facet] == self.body[partner])
@@ -423,11 +398,11 @@ class SelfContact:
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
-        Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
-        body that comes first in `label_bodies` is secondary. Two facets of one body are ordered by
-        the body's `direction`. If they face each other in the undeformed mesh, as in a slit or a
-        ring, the facet whose normal points along the direction is secondary; otherwise, as on a
-        folded sheet, the facet that comes first in this direction is secondary.
+        Of two bodies, the one with finer facets is secondary; if neither is finer (`FINER`), the
+        one that comes first in `label_bodies`. Two facets of one body are ordered by the body's
+        `direction`. If they face each other in the undeformed mesh, as in a slit or a ring, the
+        facet whose normal points along the direction is secondary; otherwise, as on a folded sheet,
+        the facet that comes first in this direction.
         """
         f, g = facet, partner
         finer, coarser = np.sort([self.size[f], self.size[g]], axis=0)
@@ -452,10 +427,6 @@ def facet_origins(V: Any, facets: Facets) -> Array:
     """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
 
     The columns are body, size, centre, normal, radius and direction, as in `SelfContact`.
-
-    Args:
-        V: the space of the displacement.
-        facets: the facets that this rank owns.
     """
     comm = V.mesh.comm
     labels, area = label_bodies(V), facets.areas
@@ -482,30 +453,23 @@ def facet_origins(V: Any, facets: Facets) -> Array:
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
-    """Return the nodes whose jump another node already constrains. Not collective.
+    """Return the nodes (n,) whose jump another node already constrains. Not collective.
 
-    `SelfContact` decides which of two facets is the secondary one. Where its choice changes from
-    facet to facet, two opposite nodes may each be secondary on one facet and primary on the next.
-    Both nodes would have the same jump: only the node that comes first in the mesh file has a
-    multiplier, and the second node is returned. A node that is opposite to itself, such as the tip
-    of a crack, has no jump, and is returned.
+    Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
+    secondary on one facet and primary on the next. Both would have the same jump: only the node
+    that comes first in the mesh file has a multiplier, and the second node is returned. A node that
+    is opposite to itself, such as the tip of a crack, has no jump, and is returned. The result is
+    valid for nodes whose facets are all on this rank.
 
     Args:
         nodes: the nodes of the surface.
         paired: (p, 2) pairs of a secondary and a primary facet that overlap.
         opposite: (q, 2) pairs of facets that see each other with exchanged roles.
-
-    Returns:
-        (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are
-        all on this rank.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
     def rows(pairs: Indices) -> Indices:
-        """Return rows (node, its number in the mesh file, this number of an opposite node).
-
-        There is a row for each corner of the first facet of a pair, with each corner of the second.
-        """
+        """Return rows (node, its number in the mesh file, that of an opposite node)."""
         own, theirs = pairs.T
         corners, numbers = nodes.facet_nodes[own], in_file[own]
         repeated = (np.repeat(columns, count, axis=1) for columns in (corners, numbers))
@@ -522,19 +486,10 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
 
 
 def opposite_bodies(nodes: SurfaceNodes, paired: Indices, order: SelfContact) -> Indices:
-    """Return the body that is opposite to each node. Not collective.
+    """Return the least number (n,) of the bodies opposite to each node, else -1. Not collective.
 
     `couple` treats patches of a node on a sharp edge that face different bodies like different
-    nodes.
-
-    Args:
-        nodes: the nodes of the surface.
-        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
-        order: the bodies of the facets.
-
-    Returns:
-        (n,) the number of the body, the least number if there are several bodies; -1 for nodes
-        without an opposite facet.
+    nodes. `paired` (p, 2) are pairs of a secondary and a primary facet that overlap.
     """
     no_body = np.iinfo(np.intp).max
     facet, partner = paired.T
