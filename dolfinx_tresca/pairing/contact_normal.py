@@ -223,7 +223,7 @@ class SmoothSurface:
         return dots(products, self._height_factors[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
-        """Return vectors (n, 3) from points x (n, dim) on facets (n,) to the surface; its normals (n, 3).
+        """Return vectors (n, 3) from points x (n, dim) of facets to the surface, and its normals.
 
         This is the exact surface where it is known, else the fitted one; bent facets are their own
         surface, with offset zero.

@@ -133,7 +133,6 @@ class MortarIntegrals(FacetIntegrals):
         body = None if order is None else order.body[self._pieces.facet]
         self._visibility = Visibility(self._pieces, self._others, body)
         degree = 1 + facets.degree
-        self._polynomial = facets.affine and partners.affine and not facets.has_exact_surface
         if not (facets.affine and partners.affine):
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif facets.has_exact_surface:
@@ -219,7 +218,6 @@ class MortarIntegrals(FacetIntegrals):
         simplices, size, pair = overlaps(
             pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
             pieces.local_coordinates(mine, self._others.points[partners])[:, :, :dim],
-            centred=not self._polynomial,
         )
         large = size > (self._rounding * self._area)[mine][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]

@@ -212,15 +212,16 @@ def _around_origin(corners: Array) -> Mask:
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 
 
-def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
+def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
+
+    Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
+    the order of the corners.
 
     Args:
         own: (n, a, d) corners of segments (d = 1, a = 2) or convex polygons (d = 2), in either
             order.
         partners: (n, b, d) corners of the partners of the same kind.
-        centred: whether polygons are cut into triangles round their centroid, and not in a fan from
-            one of their corners. There are more of them then, but they do not depend on rounding.
 
     Returns:
         The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
@@ -240,12 +241,11 @@ def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Arr
     for corner in range(windows.shape[1]):
         polygons = _clipped(polygons, windows[:, corner], sides[:, corner])
     fans, areas = _triangle_fans(polygons[:, 0], polygons)
-    if centred:
-        total = areas.sum(axis=1)[:, None]
-        moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
-        # the centroid of a polygon without area is undefined: take its first corner
-        centroid = np.divide(moment, total, out=polygons[:, 0].copy(), where=total > 0.0)
-        fans, areas = _triangle_fans(centroid, polygons)
+    total = areas.sum(axis=1)[:, None]
+    moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
+    # the centroid of a polygon without area is undefined: take its first corner
+    centroid = np.divide(moment, total, out=polygons[:, 0].copy(), where=total > 0.0)
+    fans, areas = _triangle_fans(centroid, polygons)
     pair, place = np.nonzero(areas > 0.0)
     return fans[pair, place], areas[pair, place], near[pair]
 
