@@ -161,16 +161,9 @@ def judged(
 ) -> Level:
     """Estimate the error of the mesh of a solution; this may solve again. Collective.
 
-    Args:
-        number: number of the mesh.
-        tagged_mesh: the mesh.
-        problem: the problem that was solved.
-        solution: the last solution of the problem, solved to the default accuracy.
-        goal: the number whose error counts; None: the energy error counts.
-        start: time at which the work on the mesh began, as of `time.perf_counter`.
-
-    Returns:
-        the mesh with its solution, which is accurate enough for the goal.
+    The problem is solved to the default accuracy; the result has a solution that is accurate enough
+    for the goal, or for the energy error if there is none. `start` is when the work on the mesh
+    began, as of `time.perf_counter`.
     """
     products, goal_error = solution.products, None
     if goal is not None and solution.status is ContactStatus.CONVERGED:

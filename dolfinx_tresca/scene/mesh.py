@@ -193,10 +193,9 @@ def read_gmsh(
 def _meshed(
     comm: MPI.Comm, gmsh: Any, path: Any, size: Any, unit: str, parameters: dict[str, float]
 ) -> tuple[list[tuple[int, int, str]], GmshGeometry | None]:
-    """Open and mesh the user's file or model in Gmsh; see `read_gmsh`. Not collective.
+    """Open and mesh the user's file or model; return `_physical_groups`, and the geometry if known.
 
-    Returns:
-        see `_physical_groups`; and the geometry, if it is known.
+    For arguments see `read_gmsh`. Not collective.
     """
     is_file = isinstance(path, str | PathLike)
     if not is_file and not hasattr(path, "getPhysicalGroups"):
@@ -285,12 +284,8 @@ def name_groups(model: Any, name: str) -> None:
     """Put each body, and each face of a body, of a model without groups into a group of its own.
 
     Names are the labels of the file. Without label bodies are `body 1`, `body 2`, and the faces of
-    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces, and their faces are curves. Not
-    collective.
-
-    Args:
-        model: the current model of Gmsh.
-        name: name of the model, for error messages.
+    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces, and their faces are curves. The `name` of
+    the model is for error messages. Not collective.
 
     Raises:
         MeshError: there is no body, a face is in no body, or two bodies share a face.
