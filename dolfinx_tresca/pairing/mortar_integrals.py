@@ -215,20 +215,21 @@ class MortarIntegrals(FacetIntegrals):
         """
         pieces, surface, partner_surface = self._pieces, self._surface, self._other_surface
         secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
+        # the overlaps in the planes of the secondary pieces, cut into simplices
         simplices, size, pair = overlaps(
             pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
             pieces.local_coordinates(mine, self._others.points[partners])[:, :, :dim],
         )
         large = size > (self._rounding * self._area)[mine][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]
-        # quadrature points in the planes, (simplices * count, dim), and their weights
+
+        # quadrature points, (simplices * count,), in the planes and on both facets
         count = len(self._weights)
         places = np.einsum("qc,mcd->mqd", self._barycentric, simplices).reshape(-1, dim)
         weight = (size[:, None] * self._weights).ravel()
         facet, partner = pieces.facet[mine], self._others.facet[partners]
         point_pair = np.repeat(pair, count)
         own_facet, their_facet, piece = facet[point_pair], partner[point_pair], mine[point_pair]
-
         own = pieces.local_coordinates(mine, secondary.points[facet])[point_pair]
         theirs = pieces.local_coordinates(mine, primary.points[partner])[point_pair]
         x_own = project(secondary, own[:, :, :dim], places)
@@ -237,6 +238,10 @@ class MortarIntegrals(FacetIntegrals):
         values, partner_values = secondary.basis(x_own), primary.basis(x_their)
         start, end = dots(values, own[:, :, dim]), dots(partner_values, theirs[:, :, dim])
         apart = end - start
+        to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
+        to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
+
+        # weights of points that are seen in either role: not hidden, near, and turned to each other
         hidden = self._visibility.hidden(
             mine[pair],
             simplices.mean(axis=1),
@@ -246,10 +251,6 @@ class MortarIntegrals(FacetIntegrals):
         )
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
         weight = weights_of_nearest(mine, pair, simplices, size, places, apart, weight, self._area)
-        to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
-        to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
-        turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
-        normals = contact_normals(outward, their_outward, *turns)
         weight = weight * surface.may_touch(
             own_facet, outward, partner_surface, their_facet, their_outward
         )
@@ -257,7 +258,9 @@ class MortarIntegrals(FacetIntegrals):
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
         weight = weight * (np.abs(apart) - nearest[piece] <= FACET_LENGTH * pieces.radii[piece])
-        seen = weight  # in either role; from here on `weight` is that of pairs in this role
+
+        # weights of pairs in this role, and in terms of area elements
+        seen = weight
         opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
         if self._order is not None:
             is_primary = ~self._order.is_secondary(facet, partner)[point_pair]
@@ -269,19 +272,12 @@ class MortarIntegrals(FacetIntegrals):
             in_plane = np.abs(dots(vectors, pieces.normals[piece]))
             surface_weight = surface_weight * np.linalg.norm(vectors, axis=1) / in_plane
         if secondary.axisymmetric:
-            surface_weight = (
-                surface_weight * 2.0 * np.pi * dots(values, secondary.points[own_facet, :, 0])
-            )
+            radii = dots(values, secondary.points[own_facet, :, 0])
+            surface_weight = surface_weight * 2.0 * np.pi * radii
 
-        kept, simplex_starts = np.unique(pair, return_index=True)
-
-        def products(right: Array) -> Array:
-            """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
-            left = (surface_weight[:, None] * hats).reshape(-1, count, hats.shape[1])
-            blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
-            return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
-
-        # at the rim of one side fitted surfaces differ, though the facets coincide
+        # normals and distances; at the rim of one side fitted surfaces differ where facets coincide
+        turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
+        normals = contact_normals(outward, their_outward, *turns)
         coincide = secondary.coincide(facet, primary, partner)[point_pair]
         if not secondary.has_exact_surface:
             to_partner[coincide], to_surface[coincide] = 0.0, 0.0
@@ -292,18 +288,28 @@ class MortarIntegrals(FacetIntegrals):
         # accuracy for closely fitting bodies, for which heights are much larger than the distance
         between = apart[:, None] * pieces.normals[piece]
         distance = dots(between + to_partner - to_surface, normals)
-        # at the corners of the simplices: of the linear function that fits the distances best
+        # least distance of each simplex: of the linear function that fits the distances best
         least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
+
+        # sums over the simplices of each pair that counts, and over the pairs of facets and pieces
+        kept, simplex_starts = np.unique(pair, return_index=True)
+
+        def products(right: Array) -> Array:
+            """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
+            left = (surface_weight[:, None] * hats).reshape(-1, count, hats.shape[1])
+            blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
+            return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
+
         piece_of_pair, seen_of_pair = mine[kept], np.add.reduceat(seen, simplex_starts * count)
         seen_of_piece = np.bincount(piece_of_pair, seen_of_pair, minlength=len(limit))
         covered: Mask = seen_of_piece >= (1.0 - MISMATCH) * self._area
         add = covered[piece_of_pair] if covered_only else np.ones(len(kept), dtype=np.bool_)
+        added_to = facet[kept][add]
         means = np.column_stack([distance, secondary_sagitta, sagitta, normals])
         for total, integrand in ((self.hats, hats), (self.values, values), (self.means, means)):
-            np.add.at(total, facet[kept][add], products(integrand)[add])
-        least = np.minimum.reduceat(least, simplex_starts)
-        np.minimum.at(self.least, facet[kept][add], least[add])
+            np.add.at(total, added_to, products(integrand)[add])
+        np.minimum.at(self.least, added_to, np.minimum.reduceat(least, simplex_starts)[add])
         sizes = np.add.reduceat(weight, simplex_starts * count)
         np.add.at(self._covered, piece_of_pair[add], sizes[add])
         both: Indices = np.column_stack([facet, partner])[kept]

@@ -398,16 +398,13 @@ class SelfContact:
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
-        Of two bodies, the one with finer facets is secondary; if neither is finer (`FINER`), the
-        one that comes first in `label_bodies`. Two facets of one body are ordered by the body's
-        `direction`. If they face each other in the undeformed mesh, as in a slit or a ring, the
-        facet whose normal points along the direction is secondary; otherwise, as on a folded sheet,
-        the facet that comes first in this direction.
+        For facets of two bodies see `is_secondary_body`. Two facets of one body are ordered by the
+        body's `direction`. If they face each other in the undeformed mesh, as in a slit or a ring,
+        the facet whose normal points along the direction is secondary; otherwise, as on a folded
+        sheet, the facet that comes first in this direction.
         """
         f, g = facet, partner
-        finer, coarser = np.sort([self.size[f], self.size[g]], axis=0)
-        similar = finer > FINER * coarser
-        of_bodies = np.where(similar, self.body[f] < self.body[g], self.size[f] < self.size[g])
+        of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
         towards = np.where(
             self._facing_before(f, g)[:, None],
             self.normal[f] - self.normal[g],
@@ -415,6 +412,15 @@ class SelfContact:
         )
         in_body = dots(towards, self.direction[f]) > 0.0
         return np.where(self.body[f] == self.body[g], in_body, of_bodies)
+
+
+def is_secondary_body(body: Any, partner: Any, size: Any, partner_size: Any) -> Mask:
+    """Return whether the first of two bodies (...) is secondary, which depends on facet sizes.
+
+    It is the body with finer facets; if neither is finer (`FINER`), that with the lower number.
+    """
+    finer, coarser = np.sort([size, partner_size], axis=0)
+    return np.where(finer > FINER * coarser, body < partner, size < partner_size)
 
 
 def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices) -> Array:
