@@ -22,7 +22,7 @@ import numpy as np
 import basix
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, unit
-from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
+from dolfinx_tresca.pairing.facets import SurfaceNodes, tangents
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
 #: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot
@@ -95,7 +95,6 @@ class SmoothSurface:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans; next to a kink it is zero.
-        turning: whether normals of this rank's facets turn, or facets have a height.
         across: (n, k, 3) outward unit normals of the other smooth patches at the corners of each
             facet, which are behind sharp edges; zero rows stand for missing ones. At the ends of a
             curve (2D) the body is taken to go on at right angles, as at the corner of a box.
@@ -142,26 +141,21 @@ class SmoothSurface:
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
         # facets whose geometry is known go on at rims
         at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
-        self.turning = bool(self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
 
     def _fitted_heights(self, smooth: Array) -> Array:
         """Return the factors (n, pairs) of products of two hat functions in heights [length].
 
-        They are zero if facets are bent, or if no height of this rank is above rounding; `smooth`
-        (n,) is the factor of `_smoothness`.
+        They are zero if facets are bent; `smooth` (n,) is the factor of `_smoothness`.
         """
-        facets, (start, end) = self.facets, self._slopes()
+        start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
         cosines = self._cosines()
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        size = np.ptp(self._corners, axis=1).max(axis=1)
-        rounding = (MESH_ROUNDING + facets.rounding) * size
-        above = np.abs(heights).max(axis=1, initial=0.0) > rounding
-        return np.asarray(heights * (not facets.bent and bool(above.any())))
+        return np.asarray(heights * (not self.facets.bent))
 
     def _cosines(self) -> Array:
         """Return the cosines (n, corners) between the normals at corners and of the facet."""

@@ -22,7 +22,7 @@ from dolfinx_tresca.pairing.facets import (
     quadrature,
     rounding_of,
 )
-from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces, blocks
+from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces
 from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps, weights_of_nearest
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -137,7 +137,7 @@ class MortarIntegrals(FacetIntegrals):
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif facets.has_exact_surface:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
-        elif self._surface.turning or self._other_surface.turning:
+        else:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
         degree += facets.axisymmetric  # the radius is linear
         x, w = quadrature("interval" if facets.dim == 1 else "triangle", degree)
@@ -173,25 +173,16 @@ class MortarIntegrals(FacetIntegrals):
         del self._surface, self._other_surface
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
-        """Yield blocks of pairs of pieces that may face each other.
+        """Yield blocks of pairs of pieces that face each other and may meet.
 
-        The normals of such a pair are opposed, and the primary piece lies along the normal of the
-        secondary piece. All pairs of a secondary piece are in the same block.
+        All pairs of a secondary piece are in the same block.
 
         Args:
             mine: (m,) secondary pieces to pair, ascending.
             limit: (pieces,) search distance of each secondary piece [length].
         """
-        pieces, partners = self._pieces, self._others
-        for block in blocks(len(mine)):
-            own = mine[block]
-            line, partner = partners.on_normals(
-                pieces.centres[own], pieces.normals[own], pieces.radii[own], limit[own]
-            )
-            piece = own[line]
-            opposed = dots(pieces.normals[piece], partners.normals[partner]) < -FACING_COSINE
-            piece, partner = piece[opposed], partner[opposed]
-            meets = self._may_meet(pieces.facet[piece], partners.facet[partner])
+        for piece, partner in self._pieces.facing(mine, self._others, limit):
+            meets = self._may_meet(self._pieces.facet[piece], self._others.facet[partner])
             piece, partner = piece[meets], partner[meets]
             # a block ends at the first pair of a piece after each 4 `AT_ONCE` pairs
             number = np.searchsorted(piece, piece) // (4 * AT_ONCE)

@@ -199,6 +199,23 @@ class Pieces:
         meet = across <= (radii[moving] + self.radii[met]) * (1.0 + 1e-9)
         return moving[meet], met[meet]
 
+    def facing(
+        self, chosen: Indices, partners: Pieces, limit: Array
+    ) -> Iterator[tuple[Indices, Indices]]:
+        """Yield pairs of chosen pieces, ascending, and partners along their normals, in blocks.
+
+        The normals of both are opposed. All pairs of a piece are in one block; `limit` (pieces,) is
+        the search distance of each piece [length].
+        """
+        for block in blocks(len(chosen)):
+            own = chosen[block]
+            line, partner = partners.on_normals(
+                self.centres[own], self.normals[own], self.radii[own], limit[own]
+            )
+            piece = own[line]
+            opposed = dots(self.normals[piece], partners.normals[partner]) < -FACING_COSINE
+            yield piece[opposed], partner[opposed]
+
     def local_coordinates(self, piece: Indices, points: Array) -> Array:
         """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
 
@@ -344,13 +361,7 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
     partners = Pieces.from_facets(across)
     depth: Array = np.zeros(len(far))
-    for block in blocks(len(far)):
-        own, partner = partners.on_normals(
-            mine.centres[block], mine.normals[block], mine.radii[block], far[block]
-        )
-        own += block.start
-        opposed = dots(mine.normals[own], partners.normals[partner]) < -FACING_COSINE
-        own, partner = own[opposed], partner[opposed]
+    for own, partner in mine.facing(np.arange(len(far)), partners, far):
         offsets = mine.centres[own] - partners.centres[partner]
         np.maximum.at(depth, own, dots(offsets, mine.normals[own]) + partners.radii[partner])
     near = 2.0 * mine.radii + CREDIBLE_PART * np.minimum(depth + mine.radii, far)

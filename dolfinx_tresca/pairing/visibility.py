@@ -207,7 +207,7 @@ def _around_origin(corners: Array) -> Mask:
         slack = MISMATCH * (high - low)
         return np.asarray((low <= slack) & (high >= -slack))
     following = np.roll(corners, -1, axis=1)
-    turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
+    turns = _cross(corners, following)
     slack = MISMATCH * np.abs(turns).sum(axis=1, keepdims=True)
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 
