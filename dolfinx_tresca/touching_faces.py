@@ -125,7 +125,10 @@ def contacts(
     tags_of_body: dict[int, list[int]] = {}
     for tag, face in faces.items():
         tags_of_body.setdefault(face.body, []).append(tag)
-    sizes = {body: np.mean([faces[t].size for t in tags]) for body, tags in tags_of_body.items()}
+    sizes = {
+        body: float(np.mean([faces[tag].size for tag in tags]))
+        for body, tags in tags_of_body.items()
+    }
     pairs: list[ContactPair] = []
     measures: dict[tuple[int, int], TouchingFaces] = {}
     distances = {body: np.inf for body in sizes}  # of boxes of faces, to other bodies

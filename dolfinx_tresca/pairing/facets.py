@@ -85,7 +85,7 @@ class Facets:
         offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` on the
             facet to the exact surface [length]; NaN where it is unknown, (n, 0, 3) if it is on both
             sides.
-        origins: (n, 12) see `facet_origins`; (n, 0) on surfaces that do not touch themselves.
+        origins: (n, 9) see `facet_origins`; (n, 0) on surfaces that do not touch themselves.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.

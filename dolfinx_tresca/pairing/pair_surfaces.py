@@ -21,7 +21,7 @@ from dolfinx_tresca._base.parallel import (
     row_of_least,
     warn,
 )
-from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.errors import PairingError, shown_place
 from dolfinx_tresca.pairing.coupling import corners_that_carry, couple
 from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
@@ -154,8 +154,8 @@ def _check_meshes_match(
             f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {number} '
             f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
             f"({pair.side('primary')}) away from its nodes, most of all at "
-            f"{tuple(round(float(x), 6) for x in place)}. Mesh both surfaces alike, or leave out "
-            "the argument: mortar pairing needs no matching meshes."
+            f"{shown_place(place)}. Mesh both surfaces alike, or leave out the argument: mortar "
+            "pairing needs no matching meshes."
         )
 
 
@@ -188,8 +188,8 @@ def _surface_nodes(
         if has_no_normal.any():
             raise PairingError(
                 f"the surface {pair.side(side)} ({side} side) has no normal at "
-                f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
-                "cancel. Repair the mesh there."
+                f"{shown_place(nodes.points[has_no_normal][0])}: the normals of the facets around "
+                "that node cancel. Repair the mesh there."
             )
     if moved or pair.touches_itself:
         return nodes

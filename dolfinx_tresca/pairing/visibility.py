@@ -18,7 +18,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, in_space, unit
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.facets import FACING_COSINE, MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
@@ -32,13 +32,10 @@ SHALLOW_DEPTH = 0.1
 #: 1, slight differences in size would decide, and between equal bricks rounding.
 FINER = 2.0**-0.5
 
-#: Number of candidates for the direction that orders the facets of a body.
-DIRECTIONS = 12
-
-#: A direction suits a facet of its body fully if the sine and the cosine of the angle between the
-#: direction and the facet's normal are at least this. On a slit parallel to the direction rounding
-#: would decide the roles facet by facet, and most nodes of the slit would lose their multipliers.
-LEAST_COMPONENT = 0.3
+#: Direction that orders the facets of one body: oblique, so that it is parallel to no face of a
+#: usual slit. On a slit parallel to it rounding would decide the roles facet by facet, and most
+#: nodes of the slit would lose their multipliers.
+ORDER = np.array([0.49, 0.63, 0.60])
 
 #: Two facets of one body that are behind each other count as the two faces of one wall, whose
 #: material is between them, if their distance is at least this part of their distance in the
@@ -352,7 +349,6 @@ class SelfContact:
         centre: (n, 3) centre of the facet in the undeformed mesh [length].
         normal: (n, 3) outward unit normal in the undeformed mesh.
         radius: (n,) radius of the facet in the undeformed mesh [length].
-        direction: (n, 3) direction that orders the facets of the facet's body.
         corners: (n, corners) global numbers of the corners.
         place: (n, 3) centre in the present configuration [length].
         present_normal: (n, 3) outward unit normal in the present configuration.
@@ -360,8 +356,8 @@ class SelfContact:
 
     def __init__(self, facets: Facets) -> None:
         """Take the data from the present corners of facets and their `origins`. Not collective."""
-        columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
-        body, size, self.centre, self.normal, radius, self.direction = columns
+        columns = np.split(facets.origins, [1, 2, 5, 8], axis=1)
+        body, size, self.centre, self.normal, radius = columns
         self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
         self.corners = facets.nodes[:, : facets.corners]
         self.place = facets.points[:, : facets.corners].mean(axis=1)
@@ -398,10 +394,9 @@ class SelfContact:
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
-        For facets of two bodies see `is_secondary_body`. Two facets of one body are ordered by the
-        body's `direction`. If they face each other in the undeformed mesh, as in a slit or a ring,
-        the facet whose normal points along the direction is secondary; otherwise, as on a folded
-        sheet, the facet that comes first in this direction.
+        For facets of two bodies see `is_secondary_body`. If two facets of one body face each other
+        in the undeformed mesh, as in a slit or a ring, the facet whose normal points along `ORDER`
+        is secondary; otherwise, as on a folded sheet, the facet that comes first in this direction.
         """
         f, g = facet, partner
         of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
@@ -410,8 +405,7 @@ class SelfContact:
             self.normal[f] - self.normal[g],
             self.centre[g] - self.centre[f],
         )
-        in_body = dots(towards, self.direction[f]) > 0.0
-        return np.where(self.body[f] == self.body[g], in_body, of_bodies)
+        return np.where(self.body[f] == self.body[g], towards @ ORDER > 0.0, of_bodies)
 
 
 def is_secondary_body(body: Any, partner: Any, size: Any, partner_size: Any) -> Mask:
@@ -432,30 +426,19 @@ def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices)
 def facet_origins(V: Any, facets: Facets) -> Array:
     """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
 
-    The columns are body, size, centre, normal, radius and direction, as in `SelfContact`.
+    The columns are body, size, centre, normal and radius, as in `SelfContact`.
     """
     comm = V.mesh.comm
-    labels, area = label_bodies(V), facets.areas
+    labels = label_bodies(V)
     body = labels[V.dofmap.index_map.global_to_local(facets.nodes[:, 0])]
     number = int(reduce_array(comm, labels.max(initial=-1), MPI.MAX)) + 1
     count = reduce_array(comm, np.bincount(body, minlength=number))
-    whole = reduce_array(comm, np.bincount(body, area, minlength=number))
-    size = (whole / np.maximum(count, 1)) ** (1.0 / facets.dim)
+    area = reduce_array(comm, np.bincount(body, facets.areas, minlength=number))
+    size = (area / np.maximum(count, 1)) ** (1.0 / facets.dim)
     corners = facets.points[:, : facets.corners]
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1, initial=0.0)
-    normals = facets.mean_normals
-    # random directions, none of which is along an axis
-    vectors = np.random.default_rng(0).normal(size=(DIRECTIONS, 1 + facets.dim))
-    directions = unit(in_space(vectors))
-    cosine = np.abs(normals @ directions.T)
-    along = np.minimum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), cosine)
-    quality = np.zeros((number, DIRECTIONS))
-    np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
-    quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
-    best = np.round(quality, 6).argmax(axis=1)  # the rounding of sums depends on the partition
-    direction = directions[best][body]
-    return np.column_stack([body, size[body], centre, normals, radius, direction])
+    return np.column_stack([body, size[body], centre, facets.mean_normals, radius])
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:

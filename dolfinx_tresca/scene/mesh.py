@@ -213,8 +213,7 @@ def _meshed(
         check_parameters(gmsh, source, parameters)
         open_file(gmsh, source, parameters)
     if suffix in CAD_SUFFIXES:
-        low, high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-        box = " x ".join(f"{length:.4g}" for length in high - low)
+        box = " x ".join(f"{length:.4g}" for length in np.ptp(_box(gmsh.model, -1, -1), axis=0))
         log(comm, "%s: the box of all bodies is %s %s", source.name, box, unit)
     _mesh(gmsh, source, size)
     groups = _physical_groups(gmsh.model, source)
@@ -345,8 +344,9 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
         entity: model.getPhysicalName(dim, tag) or str(tag)
         for tag, entity in _grouped_entities(model, dim)
     }
-    names, size = dict.fromkeys(bodies.values(), size), {} if size is None else size
-    given = size if isinstance(size, Mapping) else names
+    names = list(dict.fromkeys(bodies.values()))
+    size = {} if size is None else size
+    given = size if isinstance(size, Mapping) else dict.fromkeys(names, size)
     for body, value in given.items():
         if body not in names:
             raise InputError(
