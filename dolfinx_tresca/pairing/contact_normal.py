@@ -118,10 +118,9 @@ class SmoothSurface:
         turns_at_kinks = turned_angles(self._cosines())
         self._height_factors = self._fitted_heights(smooth)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
-        kinked = ((1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0))[:, None]
-        self.corner_normals += kinked[:, None] * (
-            self._facet_normals[:, None] - self.corner_normals
-        )
+        kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
+        leaning = self._facet_normals[:, None] - self.corner_normals
+        self.corner_normals += kinked[:, None, None] * leaning
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)

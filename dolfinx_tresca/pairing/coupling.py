@@ -209,7 +209,6 @@ def couple(
     carries: Mask,
     shared: Mask,
     moved: bool,
-    bodies: Indices | None = None,
 ) -> PairOperators:
     """Find the jumps at secondary nodes by integrals over facets that face the other side.
 
@@ -229,9 +228,6 @@ def couple(
         shared: (n,) whether a node belongs to both sides, and so has no multiplier.
         moved: whether the surfaces are displaced. There is then no warning of a close fit, since
             penetration is an error of the displacement.
-        bodies: (n,) number of the body that a node faces; None if all face the same body. Smooth
-            patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies are
-            treated like different nodes.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -279,8 +275,7 @@ def couple(
     jump, across, friction_acts = jump[position], across[position], free
     if primary is not None:
         friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
-    patches = numbers if bodies is None else numbers * columns + bodies[position]
-    has_normal_row, room = _normals_and_room(patches, across, normals, friction_acts, ~prescribed)
+    has_normal_row, room = _normals_and_room(numbers, across, normals, friction_acts, ~prescribed)
     along, tangent_node = _free_tangents(normals, room)
     rubs = ~smooth[tangent_node]
     extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
@@ -437,7 +432,7 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
 
 
 def _normals_and_room(
-    owners: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
+    numbers: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
 ) -> tuple[Mask, Array]:
     """Return the mask (n,) of nodes with a row of N, and projections (n, d, d) onto those of T.
 
@@ -448,8 +443,7 @@ def _normals_and_room(
     and its shank in a hole with clearance, are independent of each other.
 
     Args:
-        owners: (n,) a number for each patch. Patches of one node that face the same body have the
-            same number, and are sorted by ascending weight.
+        numbers: (n,) the node of each patch, ascending, and of one node by ascending weight.
         means: (n, nodes of V) sparse matrix of the means over the primary side; empty for an
             obstacle, which is the same place for all patches.
         normals: (n, d) unit normals.
@@ -458,27 +452,24 @@ def _normals_and_room(
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])
-    ascending = np.argsort(owners, kind="stable")
-    together = owners[ascending[1:]] == owners[ascending[:-1]]
+    together = numbers[1:] == numbers[:-1]
     if together.any():
-        lighter, heavier = means[ascending[:-1][together]], means[ascending[1:][together]]
+        lighter, heavier = means[:-1][together], means[1:][together]
         squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
         apart = (lighter - heavier).power(2).sum(axis=1)
         together[together] = apart <= SAME_MEANS**2 * squares
-    # the pieces of consecutive patches that face the same place: of most nodes there is one patch
+    # runs of patches that face the same place; most nodes have a single patch
     starts, ends = np.flatnonzero(np.diff(together, prepend=False, append=False)).reshape(-1, 2).T
     for start, end in zip(starts, ends, strict=True):
-        patches = ascending[start : end + 1]
-        heaviest = patches[-1]
-        left = room[heaviest].copy()
-        for i in reversed(patches):
+        left = room[end].copy()
+        for i in range(end, start - 1, -1):
             own = left @ normals[i]
             length = np.linalg.norm(own)
             has_row[i] = length > FACING_COSINE
             if has_row[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
-        room[heaviest] = left
+        room[end] = left  # the last patch has the largest weight
     return has_row, room
 
 

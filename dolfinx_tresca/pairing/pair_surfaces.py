@@ -28,7 +28,7 @@ from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_in
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owns, with_neighbours
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
-from dolfinx_tresca.pairing.visibility import SelfContact, opposite_bodies, redundant_nodes
+from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
@@ -81,7 +81,7 @@ def _pair(
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
     owned = sides[pair.secondary]
-    primary, bodies = None, None
+    primary = None
     if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
         nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, moved)
@@ -108,12 +108,11 @@ def _pair(
             integrals, shared = overlap, np.isin(nodes.numbers, primary.nodes)
             if order is not None:
                 shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
-                bodies = opposite_bodies(nodes, overlap.pairs, order)
         if pair.touches_itself:
             decided = nodes.numbers[shared & owns(V, nodes.numbers)]
             shared = np.isin(nodes.numbers, gather_rows(comm, decided))
         carries = corners_that_carry(V, nodes, integrals, shared)
-    together = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved, bodies)
+    together = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved)
     if pair.pairing == "nodes" and primary is not None and not moved:
         _check_meshes_match(V, pair, together, nodes)
     if not moved and len(group.pairs) > 1:

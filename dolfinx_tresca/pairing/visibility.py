@@ -472,15 +472,3 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
     result = np.zeros(len(nodes.numbers), dtype=np.bool_)
     result[second] = True
     return result
-
-
-def opposite_bodies(nodes: SurfaceNodes, paired: Indices, order: SelfContact) -> Indices:
-    """Return the least number (n,) of the bodies opposite to each node, else -1. Not collective.
-
-    `couple` treats patches of a node on a sharp edge that face different bodies like different
-    nodes. `paired` (p, 2) are pairs of a secondary and a primary facet that overlap.
-    """
-    no_body = np.iinfo(np.intp).max
-    facet, partner = paired.T
-    result = nodes.reduced(np.minimum, order.body[partner][:, None], no_body, facet)
-    return np.where(result == no_body, -1, result)
