@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, dots, unit
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array, warn
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, warn
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.contact_normal import CANCELLED
 from dolfinx_tresca.pairing.facets import (
@@ -28,7 +28,7 @@ from dolfinx_tresca.pairing.facets import (
 )
 from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pieces import owns
+from dolfinx_tresca.pairing.pieces import owners_flags, owns
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.pair import ContactPair
@@ -94,11 +94,6 @@ def corners_that_carry(
     # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
-    own = owns(V, nodes.numbers)
-
-    def owners_flags(flags: Mask) -> Mask:
-        """Return for each node the flag (n,) on its owner, which has all facets at the node."""
-        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[flags & own]))
 
     def corners_of(facets: Mask) -> Mask:
         """Return the mask (n,) of the nodes of facets in a mask."""
@@ -106,20 +101,20 @@ def corners_that_carry(
 
     partial = ~integrals.full & (weights.sum(axis=1) > 0.0)
     at_rim = corners_of(partial)
-    without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
+    without = owners_flags(V, nodes, at_rim & (covered < LEAST_MEAN * whole))
     # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
     # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
     # which one of these nodes has a multiplier
-    near = owners_flags(at_rim & corners_of(integrals.full))
-    near = owners_flags(at_rim & (near | corners_of(partial & near[corners].any(axis=1))))
+    near = owners_flags(V, nodes, at_rim & corners_of(integrals.full))
+    near = owners_flags(V, nodes, at_rim & (near | corners_of(partial & near[corners].any(axis=1))))
     near = corners_of(partial & (near & ~without)[corners].any(axis=1))
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
-    without = owners_flags((covered > 0.0) & without & single)
+    without = owners_flags(V, nodes, (covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
     largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
     without[corners[no_carrier[:, None] & largest]] = False
-    return np.asarray(~owners_flags(without)[corners])
+    return np.asarray(~owners_flags(V, nodes, without)[corners])
 
 
 def nodes_with_multipliers(

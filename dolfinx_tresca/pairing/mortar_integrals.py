@@ -128,10 +128,10 @@ class MortarIntegrals(FacetIntegrals):
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
-        self._pieces, self._others = Pieces.from_facets(facets), Pieces.from_facets(partners)
-        self._surface, self._other_surface = SmoothSurface(secondary), SmoothSurface(primary)
+        self._pieces, self._partners = Pieces.from_facets(facets), Pieces.from_facets(partners)
+        self._surface, self._partner_surface = SmoothSurface(secondary), SmoothSurface(primary)
         body = None if order is None else order.body[self._pieces.facet]
-        self._visibility = Visibility(self._pieces, self._others, body)
+        self._visibility = Visibility(self._pieces, self._partners, body)
         degree = 1 + facets.degree
         if not (facets.affine and partners.affine):
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
@@ -169,8 +169,8 @@ class MortarIntegrals(FacetIntegrals):
         arrays = zip(*self._overlaps, strict=True)
         self.pairs, self.partner, self.opposite = map(np.concatenate, arrays)
         # the integrals outlive what they were computed with
-        del self._overlaps, self._pieces, self._others, self._visibility
-        del self._surface, self._other_surface
+        del self._overlaps, self._pieces, self._partners, self._visibility
+        del self._surface, self._partner_surface
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that face each other and may meet.
@@ -181,8 +181,8 @@ class MortarIntegrals(FacetIntegrals):
             mine: (m,) secondary pieces to pair, ascending.
             limit: (pieces,) search distance of each secondary piece [length].
         """
-        for piece, partner in self._pieces.facing(mine, self._others, limit):
-            meets = self._may_meet(self._pieces.facet[piece], self._others.facet[partner])
+        for piece, partner in self._pieces.facing(mine, self._partners, limit):
+            meets = self._may_meet(self._pieces.facet[piece], self._partners.facet[partner])
             piece, partner = piece[meets], partner[meets]
             # a block ends at the first pair of a piece after each 4 `AT_ONCE` pairs
             number = np.searchsorted(piece, piece) // (4 * AT_ONCE)
@@ -204,12 +204,12 @@ class MortarIntegrals(FacetIntegrals):
         Returns:
             (pieces,) whether these pairs cover a secondary piece fully, whatever the roles are.
         """
-        pieces, surface, partner_surface = self._pieces, self._surface, self._other_surface
+        pieces, surface, partner_surface = self._pieces, self._surface, self._partner_surface
         secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
         # the overlaps in the planes of the secondary pieces, cut into simplices
         simplices, size, pair = overlaps(
             pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
-            pieces.local_coordinates(mine, self._others.points[partners])[:, :, :dim],
+            pieces.local_coordinates(mine, self._partners.points[partners])[:, :, :dim],
         )
         large = size > (self._rounding * self._area)[mine][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]
@@ -218,7 +218,7 @@ class MortarIntegrals(FacetIntegrals):
         count = len(self._weights)
         places = np.einsum("qc,mcd->mqd", self._barycentric, simplices).reshape(-1, dim)
         weight = (size[:, None] * self._weights).ravel()
-        facet, partner = pieces.facet[mine], self._others.facet[partners]
+        facet, partner = pieces.facet[mine], self._partners.facet[partners]
         point_pair = np.repeat(pair, count)
         own_facet, their_facet, piece = facet[point_pair], partner[point_pair], mine[point_pair]
         own = pieces.local_coordinates(mine, secondary.points[facet])[point_pair]

@@ -16,7 +16,6 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
     exchange,
-    gather_rows,
     reduce_array,
     row_of_least,
     warn,
@@ -26,7 +25,7 @@ from dolfinx_tresca.pairing.coupling import corners_that_carry, couple
 from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owns, with_neighbours
+from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owners_flags, owns, with_neighbours
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
 from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
@@ -90,11 +89,11 @@ def _pair(
         partners = owned if pair.touches_itself else sides[pair.primary]
         around, across = halos(V, owned, partners, pair.search_limit)
         if pair.touches_itself:
-            nodes = other_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
+            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
         else:
             nodes = _surface_nodes(V, pair, "secondary", owned, around, moved)
-            other_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
-        facets, primary = nodes.facets, other_nodes.facets
+            primary_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
+        facets, primary = nodes.facets, primary_nodes.facets
 
         def may_meet(facet: Indices, partner: Indices) -> Mask:
             tags = facets.tag_index[facet], primary.tag_index[partner]
@@ -104,29 +103,28 @@ def _pair(
             selected, limit = at_own_nodes(V, facets), pair.search_limit
             order = SelfContact(facets) if pair.touches_itself else None
             rule = may_meet if order is None else order.may_meet
-            overlap = MortarIntegrals(nodes, other_nodes, selected, limit, rule, order)
+            overlap = MortarIntegrals(nodes, primary_nodes, selected, limit, rule, order)
             integrals, shared = overlap, np.isin(nodes.numbers, primary.nodes)
             if order is not None:
                 shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
-        if pair.touches_itself:
-            decided = nodes.numbers[shared & owns(V, nodes.numbers)]
-            shared = np.isin(nodes.numbers, gather_rows(comm, decided))
+        if order is not None:
+            shared = owners_flags(V, nodes, shared)
         carries = corners_that_carry(V, nodes, integrals, shared)
-    together = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved)
+    group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved)
     if pair.pairing == "nodes" and primary is not None and not moved:
-        _check_meshes_match(V, pair, together, nodes)
+        _check_meshes_match(V, pair, group_operators, nodes)
     if not moved and len(group.pairs) > 1:
-        areas = reduce_array(comm, together.shares.sum(axis=0))
+        areas = reduce_array(comm, group_operators.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
             if area == 0.0 and single.sliding == "small":
                 raise PairingError(
                     f"the surfaces of contact pair {single} do not face each other. Check the tags"
                     f"{'' if single.search_distance is None else ' and the search distance'}."
                 )
-        group.say_laws(comm, together.shares)
-    owner = group.owners(together.shares)
+        group.say_laws(comm, group_operators.shares)
+    owner = group.owners(group_operators.shares)
     return [
-        replace(together.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
+        replace(group_operators.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
         for k, single in enumerate(group.pairs)
     ]
 

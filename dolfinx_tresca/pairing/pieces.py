@@ -19,8 +19,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross, dots
-from dolfinx_tresca._base.parallel import exchange
-from dolfinx_tresca.pairing.facets import FACET_ARRAYS, FACING_COSINE, Facets, frames_along
+from dolfinx_tresca._base.parallel import exchange, gather_rows
+from dolfinx_tresca.pairing.facets import (
+    FACET_ARRAYS,
+    FACING_COSINE,
+    Facets,
+    SurfaceNodes,
+    frames_along,
+)
 
 #: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
 #: times as many, and of points and what may hide them 50 times as many.
@@ -257,6 +263,12 @@ def owns(V: Any, nodes: GlobalNumbers) -> Mask:
     """Return whether this rank owns nodes with global numbers (...). Not collective."""
     low, high = V.dofmap.index_map.local_range
     return np.asarray((nodes >= low) & (nodes < high))
+
+
+def owners_flags(V: Any, nodes: SurfaceNodes, flags: Mask) -> Mask:
+    """Return for each node its owner's flag (n,); the owner has all facets at it. Collective."""
+    flagged = nodes.numbers[flags & owns(V, nodes.numbers)]
+    return np.isin(nodes.numbers, gather_rows(V.mesh.comm, flagged))
 
 
 def at_own_nodes(V: Any, facets: Facets) -> Indices:

@@ -70,7 +70,7 @@ class Visibility:
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
         """Keep the pieces of both sides; `body` of each piece, if the surface touches itself."""
-        self._pieces, self._others, self._body = pieces, partners, body
+        self._pieces, self._partners, self._body = pieces, partners, body
 
     def hidden(
         self, piece: Indices, places: Array, start: Array, end: Array, partner: Indices
@@ -128,7 +128,7 @@ class Visibility:
             heights (m,) of the crossings over the planes [length]; and whether both normals point
             to the same side of the plane (m,).
         """
-        pieces, side = self._pieces, self._pieces if own else self._others
+        pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
         line, facet = side.on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
@@ -158,7 +158,7 @@ class Visibility:
         secondary side the piece itself, and facets in its plane, hide nothing; nor do facets with a
         common node and a similar normal, which a segment crosses at its own start.
         """
-        pieces, side = self._pieces, self._pieces if own else self._others
+        pieces, side = self._pieces, self._pieces if own else self._partners
         normal, their_normal = pieces.normals[piece], side.normals[facet]
         cosine = dots(normal, their_normal)
         result: Mask = cosine > NEGLIGIBLE
@@ -189,7 +189,7 @@ class Visibility:
         points = self._pieces.centres[piece[deep]]
         points = points + np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
         limit = CREDIBLE_PART * (start - end)[deep]
-        point, partner = self._others.near(points, limit)
+        point, partner = self._partners.near(points, limit)
         if self._body is not None:
             elsewhere = self._body[partner] != self._body[piece[deep]][point]
             point, partner = point[elsewhere], partner[elsewhere]
