@@ -414,7 +414,8 @@ def is_secondary_body(body: Any, partner: Any, size: Any, partner_size: Any) -> 
     It is the body with finer facets; if neither is finer (`FINER`), that with the lower number.
     """
     finer, coarser = np.sort([size, partner_size], axis=0)
-    return np.where(finer > FINER * coarser, body < partner, size < partner_size)
+    result: Mask = np.where(finer > FINER * coarser, body < partner, size < partner_size)
+    return result
 
 
 def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices) -> Array:
