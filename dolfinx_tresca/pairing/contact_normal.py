@@ -176,16 +176,16 @@ class SmoothSurface:
         start, end = self._slopes()
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
-        excess = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
-        result = np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
+        unevenness = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
+        result = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
         corner_nodes = nodes.facet_nodes
         at_rim = rim[corner_nodes]
-        outer = at_rim.any(axis=1)
-        inner = nodes.reduced(np.minimum, result[~outer, None], np.inf, ~outer)[corner_nodes]
-        least = nodes.reduced(np.minimum, result[:, None], np.inf)[corner_nodes].min(axis=1)
-        around = np.where(at_rim, np.inf, inner).min(axis=1, initial=np.inf)
-        alone = 0.0 if self.facets.dim == 1 else least
-        return np.where(outer, np.where(np.isinf(around), alone, around), result)
+        inner = ~at_rim.any(axis=1)
+        of_inner = nodes.reduced(np.minimum, result[inner, None], np.inf, inner)[corner_nodes]
+        around = np.where(at_rim, np.inf, of_inner).min(axis=1, initial=np.inf)
+        of_all = nodes.reduced(np.minimum, result[:, None], np.inf)[corner_nodes].min(axis=1)
+        without_inner = 0.0 if self.facets.dim == 1 else of_all
+        return np.where(inner, result, np.where(np.isinf(around), without_inner, around))
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.

@@ -336,11 +336,16 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
 
     The result has the facets that this rank owns, and those that were sent to it.
     """
-    kept = np.arange(len(owned.points)) * comm.size + comm.rank
+    arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
+    count = len(owned.points)
+    kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
+    records = np.empty(count, dtype=kinds)  # of a facet each, so that each rank gets one message
+    for name, array in arrays.items():
+        records[name] = array
+    kept = np.arange(count) * comm.size + comm.rank
     facet, rank = np.divmod(np.union1d(kept, facet * comm.size + rank), comm.size)
-    received: dict[str, Any] = {
-        name: exchange(comm, getattr(owned, name)[facet], rank)[0] for name in FACET_ARRAYS
-    }
+    rows, _ = exchange(comm, records[facet], rank)
+    received: dict[str, Any] = {name: rows[name].copy() for name in FACET_ARRAYS}
     return replace(owned, **received)
 
 
