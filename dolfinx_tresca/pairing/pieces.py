@@ -339,7 +339,7 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
     arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
     count = len(owned.points)
     kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
-    records = np.empty(count, dtype=kinds)  # of a facet each, so that each rank gets one message
+    records = np.empty(count, dtype=kinds)  # one for each facet: each rank gets a single message
     for name, array in arrays.items():
         records[name] = array
     kept = np.arange(count) * comm.size + comm.rank
