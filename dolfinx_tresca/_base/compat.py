@@ -55,9 +55,12 @@ except TypeError:
 def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -> Any:
     """Distribute cells over the ranks and return the mesh. Collective.
 
-    Each rank gives geometry nodes (n, k) of cells and coordinates x of geometry nodes [length]; the
-    domain has the coordinate element. With `ghosts` it also gets the cells that share a facet with
-    its own cells.
+    Args:
+        comm: the communicator.
+        cells: (n, k) geometry nodes of the cells that this rank contributes.
+        x: coordinates of the geometry nodes that this rank contributes [length].
+        domain: coordinate element of the mesh.
+        ghosts: whether each rank also gets the cells that share a facet with its own cells.
     """
     mode = dolfinx.mesh.GhostMode.shared_facet if ghosts else dolfinx.mesh.GhostMode.none
     partitioner = dolfinx.mesh.create_cell_partitioner(mode, *_CELLS_AT_FACET)

@@ -18,7 +18,7 @@ from dolfinx_tresca._base.compat import EntityMaps, geometry_dofmap
 def zero_like(
     function: fem.Function, name: str, kind: type[fem.Function] = fem.Function
 ) -> fem.Function:
-    """Return a Function of zeros, of a class, on the space of another one. Not collective.
+    """Return a Function of zeros, of a given kind, on the space of another one. Not collective.
 
     On several ranks a new Function takes two MPI communicators as long as it lives, and MPICH has
     2,048 of them. A copy shares those of its original.

@@ -211,7 +211,10 @@ class SmoothSurface:
         return np.asarray(points + heights[:, :, None] * self._facet_normals[facet][:, None])
 
     def heights(self, facet: Indices, hats: Array) -> Array:
-        """Return the fitted heights (n,) of points with `hats` (n, corners) over facets (n,)."""
+        """Return the fitted heights (n,) over facets (n,), along the outward normal [length].
+
+        `hats` (n, corners) are the values of the facet's hat functions at each point.
+        """
         products = hats[:, self._first] * hats[:, self._second]
         return dots(products, self._height_factors[facet])
 
@@ -219,7 +222,8 @@ class SmoothSurface:
         """Return vectors (n, 3) from points x (n, dim) of facets to the surface, and its normals.
 
         This is the exact surface where it is known, else the fitted one; bent facets are their own
-        surface, with offset zero.
+        surface, with offset zero. Lengths are those of the mesh, and the normals (n, 3) have length
+        1.
         """
         facets = self.facets
         hats = facets.hats(x)
@@ -277,7 +281,7 @@ def _normals_across_edges(nodes: SurfaceNodes) -> Array:
 
 
 def turned_angles(cosines: Array) -> Array:
-    """Return the angles (n,) by which normals turn, given cosines (n, corners) to the mean."""
+    """Return the angles (n,) by which normals turn [rad], by cosines (n, corners) to the mean."""
     least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
     return np.asarray(2.0 * np.arccos(least))
 
