@@ -237,21 +237,17 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     sides = np.roll(windows, -1, axis=1) - windows
     for corner in range(windows.shape[1]):
         polygons = _clipped(polygons, windows[:, corner], sides[:, corner])
-    fans, areas = _triangle_fans(polygons[:, 0], polygons)
-    total = areas.sum(axis=1)[:, None]
-    moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
+    following = np.roll(polygons, -1, axis=1)
+    start, end = polygons - polygons[:, :1], following - polygons[:, :1]
+    turns = np.abs(_cross(start, end))  # twice the areas of triangles with the first corner
+    moment, total = np.einsum("nc,nci->ni", turns, start + end), 3.0 * turns.sum(axis=1)[:, None]
     # the centroid of a polygon without area is undefined: take its first corner
-    centroid = np.divide(moment, total, out=polygons[:, 0].copy(), where=total > 0.0)
-    fans, areas = _triangle_fans(centroid, polygons)
+    offset = np.divide(moment, total, out=np.zeros_like(moment), where=total > 0.0)
+    centroid = np.broadcast_to((polygons[:, 0] + offset)[:, None], polygons.shape)
+    fans = np.stack([centroid, polygons, following], axis=2)
+    areas = 0.5 * np.abs(_cross(polygons - centroid, following - centroid))
     pair, place = np.nonzero(areas > 0.0)
     return fans[pair, place], areas[pair, place], near[pair]
-
-
-def _triangle_fans(tip: Array, polygons: Array) -> tuple[Array, Array]:
-    """Return triangles (n, c, 3, 2), and their areas, from tips (n, 2) to sides of polygons."""
-    following = np.roll(polygons, -1, axis=1)
-    fans = np.stack([np.broadcast_to(tip[:, None], polygons.shape), polygons, following], axis=2)
-    return fans, 0.5 * np.abs(_cross(polygons - tip[:, None], following - tip[:, None]))
 
 
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
