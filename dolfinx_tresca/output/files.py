@@ -248,15 +248,13 @@ def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
     mesh = functions[0].function_space.mesh
     degrees = [function.function_space.ufl_element().degree for function in functions]
     degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
-    results = []
-    for function in functions:
-        result = function
-        if function.function_space.ufl_element().degree not in (0, degree):
+    results = [*functions]
+    for number, function in enumerate(functions):
+        if degrees[number] not in (0, degree):
             W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
-            result = fem.Function(W, name=function.name)
-            result.interpolate(function)
-            result.x.scatter_forward()
-        results.append(result)
+            results[number] = fem.Function(W, name=function.name)
+            results[number].interpolate(function)
+            results[number].x.scatter_forward()
     return results
 
 

@@ -166,11 +166,8 @@ def _strength(law: Friction) -> tuple[int, float, float]:
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
     sizes = []
     for bound in (law.terms.coefficient, law.terms.constant):
-        values = [
-            real(entry.value.item() if isinstance(entry, fem.Constant) else entry)
-            for entry in (bound if isinstance(bound, tuple) else (bound,))
-        ]
-        sizes.append(max(value or 0.0 for value in values))
+        entries = bound if isinstance(bound, tuple) else (bound,)
+        sizes.append(max(real(getattr(entry, "value", entry)) or 0.0 for entry in entries))
     return 1, sizes[0], sizes[1]
 
 

@@ -374,18 +374,14 @@ class SelfContact:
         lips (`NEGLIGIBLE`). This must be so both in the undeformed mesh and in the present
         configuration, and the present depth must exceed `WALL_PART` of the undeformed depth.
         """
-        result = np.ones(len(facet), dtype=np.bool_)
-        in_one_body = np.flatnonzero(self.body[facet] == self.body[partner])
-        f, g = facet[in_one_body], partner[in_one_body]
+        f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
         neighbours = common & ~self._facing_before(f, g)
-        shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH)
-        shallow = shallow * (self.radius[f] + self.radius[g])
+        shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH) * (self.radius[f] + self.radius[g])
         undeformed = _least_depth(self.centre, self.normal, f, g)
         present = _least_depth(self.place, self.present_normal, f, g)
         wall = (undeformed > shallow) & (present > np.maximum(shallow, WALL_PART * undeformed))
-        result[in_one_body] = ~(neighbours | wall)
-        return result
+        return np.asarray((self.body[f] != self.body[g]) | ~(neighbours | wall))
 
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
