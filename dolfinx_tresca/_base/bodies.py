@@ -58,10 +58,8 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
         ascending = np.argsort(values)
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
         place[ascending] = np.cumsum(steps > rounding)
-    order = np.lexsort([in_file, *places.T[::-1]])
-    rank_of = np.empty(number, dtype=np.int64)
-    rank_of[order] = np.arange(number)
-    numbered: npt.NDArray[np.int64] = rank_of[body]
+    place_of_body = np.argsort(np.lexsort([in_file, *places.T[::-1]]))
+    numbered: npt.NDArray[np.int64] = place_of_body[body]
     return numbered
 
 

@@ -292,9 +292,7 @@ def _rim_nodes(nodes: SurfaceNodes) -> Mask:
     corners = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
     sides: Indices = np.sort(nodes.facet_nodes[:, corners].reshape(-1, facets.dim), axis=1)
     sides, count = np.unique(sides, axis=0, return_counts=True)
-    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
-    result[sides[count == 1]] = True
-    return result
+    return np.isin(np.arange(len(nodes.numbers)), sides[count == 1])
 
 
 def fitted_normals(nodes: SurfaceNodes) -> Array:

@@ -462,6 +462,4 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
     seen, times = np.unique(together, axis=0, return_counts=True)
     own, theirs = seen[:, 1], seen[:, 2]
     second = seen[(own == theirs) | (times > 1) & (own > theirs), 0]
-    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
-    result[second] = True
-    return result
+    return np.isin(np.arange(len(nodes.numbers)), second)
