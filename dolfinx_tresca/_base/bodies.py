@@ -59,8 +59,7 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
         place[ascending] = np.cumsum(steps > rounding)
     place_of_body = np.argsort(np.lexsort([in_file, *places.T[::-1]]))
-    numbered: npt.NDArray[np.int64] = place_of_body[body]
-    return numbered
+    return np.asarray(place_of_body[body])
 
 
 def labels_of(
@@ -73,8 +72,7 @@ def labels_of(
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
-    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - start], source)[0]
-    return labels
+    return np.asarray(exchange(comm, label[asked - start], source)[0])
 
 
 def _ranges(comm: MPI.Comm, body: npt.NDArray[Any], number: int, values: Array) -> Array:

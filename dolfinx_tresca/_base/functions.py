@@ -31,8 +31,7 @@ def zero_like(
 def owned_values(u: fem.Function) -> Array:
     """Return a view of a Function's values (n, d) at this rank's own nodes. Not collective."""
     dofmap = u.function_space.dofmap
-    values: Array = u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local]
-    return values
+    return np.asarray(u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local])
 
 
 def with_owned_values(V: Any, values: Array, name: str | None = None) -> fem.Function:

@@ -149,8 +149,7 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
     if isinstance(function, IntegerFunction):
         values = np.rint(values).astype(np.int32)
     values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
-    rows: npt.NDArray[Any] = values.reshape(-1, 3 ** len(shape)) if shape else values
-    return rows
+    return np.asarray(values.reshape(-1, 3 ** len(shape)) if shape else values)
 
 
 def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:

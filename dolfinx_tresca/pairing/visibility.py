@@ -406,8 +406,7 @@ def is_secondary_body(body: Any, partner: Any, size: Any, partner_size: Any) -> 
     It is the body with finer facets; if neither is finer (`FINER`), that with the lower number.
     """
     finer, coarser = np.sort([size, partner_size], axis=0)
-    result: Mask = np.where(finer > FINER * coarser, body < partner, size < partner_size)
-    return result
+    return np.asarray(np.where(finer > FINER * coarser, body < partner, size < partner_size))
 
 
 def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices) -> Array:

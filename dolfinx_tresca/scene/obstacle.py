@@ -62,13 +62,11 @@ class RigidMotion:
 
     def applied_to(self, points: Array) -> Array:
         """Return the positions (3, n) to which points (3, n) move [length]."""
-        moved: Array = self.rotation @ points + self.translation[:, None]
-        return moved
+        return np.asarray(self.rotation @ points + self.translation[:, None])
 
     def reversed_from(self, positions: Array) -> Array:
         """Return the points (3, n) that move to positions (3, n) [length]."""
-        points: Array = self.rotation.T @ (positions - self.translation[:, None])
-        return points
+        return np.asarray(self.rotation.T @ (positions - self.translation[:, None]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, RigidMotion) and np.array_equal(self.matrix, other.matrix)
