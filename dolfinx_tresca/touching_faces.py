@@ -21,7 +21,7 @@ from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import each_warning_once, log, reduce_array, warn
 from dolfinx_tresca.errors import MeshError, PairingError
 from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
-from dolfinx_tresca.pairing.visibility import FINER
+from dolfinx_tresca.pairing.visibility import is_secondary_body
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.mesh import TaggedMesh, abridged_names
 from dolfinx_tresca.scene.pair import ContactPair
@@ -122,10 +122,9 @@ def contacts(
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
     faces = _faces(V, facet_tags)
-    tags_of_body = {
-        body: [tag for tag, face in faces.items() if face.body == body]
-        for body in {face.body for face in faces.values()}
-    }
+    tags_of_body: dict[int, list[int]] = {}
+    for tag, face in faces.items():
+        tags_of_body.setdefault(face.body, []).append(tag)
     sizes = {
         body: float(np.mean([faces[tag].size for tag in tags]))
         for body, tags in tags_of_body.items()
@@ -135,7 +134,7 @@ def contacts(
     distances = {body: np.inf for body in sizes}  # of boxes of faces, to other bodies
     reach = 0.0
     for tags in combinations(faces, 2):
-        bodies, boxes = (faces[tags[0]].body, faces[tags[1]].body), [faces[tag].box for tag in tags]
+        bodies, boxes, _ = zip(*(faces[tag] for tag in tags), strict=True)
         if bodies[0] == bodies[1]:
             continue
         near = min(sizes[body] for body in bodies) if limit is None else limit
@@ -146,9 +145,9 @@ def contacts(
             distances[body] = min(distances[body], away)
         if away > near:
             continue
-        ratio = sizes[bodies[0]] / sizes[bodies[1]]
-        finer = ratio < FINER or (ratio <= 1.0 / FINER and bodies[0] < bodies[1])
-        pair = ContactPair(facet_tags, *(tags if finer else tags[::-1]), friction, **options)
+        if not is_secondary_body(*bodies, *(sizes[body] for body in bodies)):
+            tags = tags[::-1]
+        pair = ContactPair(facet_tags, *tags, friction, **options)
         touch = _measured(V, pair, near)
         if touch is not None:
             pairs.append(pair)

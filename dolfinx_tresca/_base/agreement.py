@@ -92,8 +92,8 @@ def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function, for `collective`, that finds the communicator among the named arguments.
 
-    The function returns the first argument that is a communicator, or has a mesh. Arguments without
-    a mesh, which may be wrong, are passed over.
+    This is the first argument that is a communicator or has a mesh; others, which may be wrong, are
+    passed over.
     """
     return lambda given: _mesh_comm([given.get(name) for name in names])
 
@@ -120,18 +120,12 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
 
 
 def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:
-    """Call a function of the user; an exception on one rank is raised on all ranks.
+    """Call a function of the user; an exception on one rank is raised on all ranks. Collective.
 
     The function may make collective calls of this package. If it raises an exception on one rank,
     the other ranks receive the exception in their next collective call of this package. Ranks that
-    wait in a collective call of another library do not receive the exception.
-
-    Collective.
-
-    Args:
-        comm: the communicator of the collective calls.
-        name: the name of the function, for error messages.
-        function: the function of the user, without arguments.
+    wait in a collective call of another library do not receive it. The name of the function is for
+    error messages.
 
     Raises:
         BaseException: the exception of the function; see `errors_on_all_ranks`.
@@ -146,21 +140,16 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
     return results[0]
 
 
-def check_agreement(
-    comm: MPI.Comm,
-    where: str,
-    values: Callable[[], Mapping[str, Any]],
-) -> None:
+def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str, Any]]) -> None:
     """Check that the ranks are in the same call and give it equal values. Collective.
 
     Args:
         comm: the communicator.
         where: the name of the call.
-        values: function that returns name -> value; each value must be equal on all ranks. An
-            exception that it raises on one rank is raised on all ranks.
+        values: function that returns name -> value; each value must be equal on all ranks.
 
     Raises:
-        BaseException: the exception of the lowest rank that has an exception.
+        BaseException: the exception of `values` on the lowest rank that has one.
         InputError: the ranks are in different calls, or a value differs between them.
     """
     comm = _comm_of_group(comm)
@@ -176,8 +165,7 @@ def check_agreement(
 def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputError:
     """Return an error that names the first difference between the ranks.
 
-    Args:
-        rank_texts: for each rank the name of its call, and the texts that describe the values.
+    For each rank, `rank_texts` has the name of its call and the texts that describe the values.
     """
     expected_place, expected = rank_texts[0]
     rank, (where, texts) = next(
@@ -197,10 +185,9 @@ def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputErr
 
 
 def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Yield name and text of a value, and of each of its parts.
+    """Yield name and text of a value, and of each of its parts: equal on all ranks if values agree.
 
-    The texts are equal on all ranks if the values agree. Meshes, and values of Functions, are
-    distributed and not compared.
+    Meshes, and values of Functions, are distributed and not compared.
     """
     if hasattr(value, "values_to_agree"):
         items = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}

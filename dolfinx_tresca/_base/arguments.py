@@ -80,14 +80,7 @@ def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) ->
 
 
 def check_type(name: str, value: Any, kinds: Any, wanted: str, advice: str = "") -> None:
-    """Check the type of an argument.
-
-    Args:
-        name: the name of the argument.
-        value: the argument.
-        kinds: the type, or the union of types, that it may have.
-        wanted: description of the type that is wanted, for the error message.
-        advice: a further sentence of the error message.
+    """Check that an argument has a type, or one of a union; `advice` is one more sentence.
 
     Raises:
         InputError: the argument has another type.

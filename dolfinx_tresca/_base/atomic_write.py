@@ -13,11 +13,7 @@ from dolfinx_tresca.errors import InputError
 
 @contextmanager
 def file_named_in_errors(path: Path) -> Iterator[None]:
-    """Convert an OSError of the enclosed block to an InputError with the path. Not collective.
-
-    Raises:
-        InputError: the block raised OSError.
-    """
+    """Convert an OSError of the enclosed block to an InputError with the path. Not collective."""
     try:
         yield
     except OSError as error:
@@ -32,12 +28,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
     The temporary path has the same name, in a new folder beside `path`. At the end of the block,
     all files in the new folder are moved to the folder of `path`; after an exception, no file is
-    moved. So files are always complete, and a run that fails keeps the files of earlier runs. Not
-    collective.
-
-    Args:
-        path: the file or folder that the block writes; the block may write further files beside
-            the temporary path.
+    moved. So files are always complete, and a run that fails keeps the files of earlier runs. The
+    block writes a file or a folder, and maybe further files beside it. Not collective.
 
     Raises:
         InputError: files cannot be written to the folder of `path`.

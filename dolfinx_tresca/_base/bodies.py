@@ -58,39 +58,25 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
         ascending = np.argsort(values)
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
         place[ascending] = np.cumsum(steps > rounding)
-    order = np.lexsort([in_file, *places.T[::-1]])
-    rank_of = np.empty(number, dtype=np.int64)
-    rank_of[order] = np.arange(number)
-    numbered: npt.NDArray[np.int64] = rank_of[body]
-    return numbered
+    place_of_body = np.argsort(np.lexsort([in_file, *places.T[::-1]]))
+    return np.asarray(place_of_body[body])
 
 
 def labels_of(
     V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return the labels (n,) of nodes of any rank. Collective.
+    """Return the labels (n,) of nodes of any rank, by ascending global numbers (n,). Collective.
 
-    Args:
-        V: the space whose nodes have labels.
-        label: (owned nodes of V,) the label of each node.
-        numbers: (n,) ascending global numbers of nodes.
+    `label` (owned nodes of V,) are the labels of this rank's nodes.
     """
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
-    labels: npt.NDArray[np.int64] = exchange(comm, label[asked - start], source)[0]
-    return labels
+    return np.asarray(exchange(comm, label[asked - start], source)[0])
 
 
 def _ranges(comm: MPI.Comm, body: npt.NDArray[Any], number: int, values: Array) -> Array:
-    """Return the least values of each body, and then the largest (number, 2 k). Collective.
-
-    Args:
-        comm: the communicator.
-        body: (n,) the body of each value.
-        number: number of bodies.
-        values: (n, k) values on this rank.
-    """
+    """Return the least values of each body, and then the largest (number, 2 k). Collective."""
     k = values.shape[1]
     ranges: Array = np.full((number, 2 * k), np.inf)
     np.minimum.at(ranges, body, np.hstack([values, -values]))
@@ -122,13 +108,7 @@ class Bodies:
 
     @classmethod
     def from_space(cls, V: Any, cell_tags: Any = None) -> Bodies:
-        """Find the bodies of a space's mesh. Collective.
-
-        Args:
-            V: the space of the displacement.
-            cell_tags: `NamedTags` of cells, with the names of bodies; None: bodies have numbers
-                only.
-        """
+        """Find the bodies of a mesh, which `NamedTags` of its cells, if any, name. Collective."""
         label = label_bodies(V)
         number = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
         bounds = _ranges(V.mesh.comm, label, number, V.tabulate_dof_coordinates())
@@ -164,9 +144,6 @@ class Bodies:
 
         The translations along the axes and then the rotations about the centre of each body have
         the order in which `RigidBodyModes.describe` names them.
-
-        Args:
-            dim: the dimension of space.
         """
         translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
         rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
@@ -179,9 +156,7 @@ class Bodies:
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
         """Return the number, the name and the bounding box of a body, in words.
 
-        Args:
-            index: the body.
-            companions: bodies that move together with it, of which the text has the names.
+        The names of its companions, bodies that move together with it, follow.
         """
         box = self.bounds[index]
         size = float(np.linalg.norm(box[3:] - box[:3]))
@@ -200,11 +175,7 @@ class Bodies:
 def _tag_names(V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: Any) -> tuple[str, ...]:
     """Return for each body the name of the tag that all its cells have, else "". Collective.
 
-    Args:
-        V: the space of the displacement.
-        body: the body of each node of V on this rank, with ghosts.
-        number: number of bodies.
-        cell_tags: tags of cells with names.
+    `body` (nodes of V,) has the body of each node on this rank, with ghosts.
     """
     if cell_tags is None:
         return ("",) * number

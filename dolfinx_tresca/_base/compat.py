@@ -88,13 +88,9 @@ def create_submesh(
 
 
 def owned_dofs(bc: Any, owned: int) -> Any:
-    """Return the degrees of freedom of this rank that a condition prescribes. Not collective.
+    """Return which of a rank's `owned` degrees of freedom a condition prescribes. Not collective.
 
     DOLFINx 0.9 counts some ghosts among the owned ones on blocked spaces.
-
-    Args:
-        bc: the condition.
-        owned: number of this rank's own degrees of freedom.
     """
     dofs = bc.dof_indices()[0]
     return dofs[dofs < owned]
@@ -126,8 +122,7 @@ _HAS_DOFMAPS = isinstance(getattr(dolfinx.mesh.Geometry, "dofmaps", None), prope
 
 def geometry_dofmap(mesh: Any) -> LocalNumbers:
     """Return the geometry nodes (cells, k) of each cell on this rank."""
-    dofmap: LocalNumbers = mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap
-    return dofmap
+    return np.asarray(mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap)
 
 
 def collapse(space: Any) -> tuple[Any, LocalNumbers]:
@@ -145,5 +140,4 @@ def geometry_degree(mesh: Any) -> int:
 def interpolation_points(element: Any) -> Array:
     """Return the reference points (k, dim) of an element's degrees of freedom."""
     points = element.interpolation_points  # a method in 0.9, a property since 0.10
-    result: Array = points() if callable(points) else points
-    return result
+    return np.asarray(points() if callable(points) else points)

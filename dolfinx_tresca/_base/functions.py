@@ -18,15 +18,10 @@ from dolfinx_tresca._base.compat import EntityMaps, geometry_dofmap
 def zero_like(
     function: fem.Function, name: str, kind: type[fem.Function] = fem.Function
 ) -> fem.Function:
-    """Return a Function of zeros on the space of another one. Not collective.
+    """Return a Function of zeros, of a given kind, on the space of another one. Not collective.
 
     On several ranks a new Function takes two MPI communicators as long as it lives, and MPICH has
     2,048 of them. A copy shares those of its original.
-
-    Args:
-        function: the original.
-        name: name of the result.
-        kind: class of the result.
     """
     result = kind(function.function_space, function.copy().x, name=name)
     result.x.array[:] = 0.0
@@ -36,18 +31,11 @@ def zero_like(
 def owned_values(u: fem.Function) -> Array:
     """Return a view of a Function's values (n, d) at this rank's own nodes. Not collective."""
     dofmap = u.function_space.dofmap
-    values: Array = u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local]
-    return values
+    return np.asarray(u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local])
 
 
 def with_owned_values(V: Any, values: Array, name: str | None = None) -> fem.Function:
-    """Return the Function with given values at each rank's own nodes. Collective.
-
-    Args:
-        V: the space.
-        values: (n, d) or (n d,) values.
-        name: name of the result.
-    """
+    """Return the Function on V with values (n, d) or (n d,) at the rank's own nodes. Collective."""
     result = fem.Function(V, name=name)
     result.x.array[: values.size] = values.ravel()
     result.x.scatter_forward()
@@ -57,10 +45,8 @@ def with_owned_values(V: Any, values: Array, name: str | None = None) -> fem.Fun
 def assembled(form: ufl.Form, space: Any, entity_maps: EntityMaps | None = None) -> fem.Function:
     """Assemble a linear form into a Function whose ghost values are up to date. Collective.
 
-    Args:
-        form: the linear form.
-        space: the space of the form's test function.
-        entity_maps: entity maps of Functions on other meshes in the form.
+    The space is that of the test function; entity maps belong to Functions on other meshes in the
+    form.
     """
     result = fem.Function(space)
     fem.assemble_vector(result.x.array, fem.form(form, entity_maps=entity_maps))
@@ -77,12 +63,8 @@ def entities_per_cell(V: Any, dim: int) -> int:
 def nodes_of_vertices(V: Any) -> LocalNumbers:
     """Return for each geometry node at a vertex the node of V at this vertex. Not collective.
 
-    Args:
-        V: a Lagrange space. Its nodes on edges, on facets and in cells do not appear in the result.
-
-    Returns:
-        (geometry nodes,) nodes of V; zero for geometry nodes of curved meshes that are not at
-        vertices.
+    V is a Lagrange space. The result (geometry nodes,) is zero for geometry nodes of curved meshes
+    that are not at vertices.
     """
     vertices = entities_per_cell(V, 0)
     nodes = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)

@@ -69,13 +69,8 @@ def log(
 ) -> None:
     """Log a message on the first rank, broken into lines. Not collective.
 
-    Args:
-        comm: the communicator; its other ranks do nothing.
-        message: a format string with % placeholders.
-        args: the values of the placeholders.
-        level: the logging level.
-        about: the subject of a warning, such as a pair; `each_warning_once` logs the same message
-            once for each subject.
+    The message has % placeholders for `args`. `each_warning_once` logs the same warning once for
+    each subject that it is `about`, such as a pair.
     """
     if comm.rank > 0:
         return
@@ -101,9 +96,7 @@ def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
     Without this, the remaining ranks would wait for ever in their next collective call. The block
     itself must not communicate, since a rank that has raised takes no part in communication. It may
     call collective functions of this package: their exceptions are raised on all ranks already, and
-    pass.
-
-    Collective: all ranks enter and leave together.
+    pass. Collective: all ranks enter and leave together.
 
     Raises:
         BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included; on a
@@ -215,7 +208,7 @@ def exchange(
 
     Args:
         comm: the communicator.
-        rows: (n, ...) rows of any data type, records included; the type is equal on all ranks.
+        rows: (n, ...) rows of any data type, which is equal on all ranks.
         ranks: (n,) the rank to which each row goes.
 
     Returns:
@@ -234,10 +227,7 @@ def exchange(
 def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
     """Return sums (nodes, k) of values (..., k) at nodes (...) of all ranks. Collective.
 
-    Args:
-        index_map: the nodes of this rank, ghosts included.
-        nodes: (...) local numbers of nodes, each any number of times.
-        values: (..., k) values at the nodes.
+    The index map has the nodes of this rank, ghosts included; each may occur any number of times.
     """
     vector = dolfinx.la.vector(index_map, values.shape[-1])
     vector.array[:] = 0.0
@@ -250,12 +240,7 @@ def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
     """Return the row (k,) with the least key among the rows of all ranks. Collective.
 
-    The result is None if no rank has a row.
-
-    Args:
-        comm: the communicator.
-        keys: (n,) the key of each row.
-        rows: (n, k) the rows of this rank.
+    There are keys (n,) and rows (n, k); the result is None if no rank has a row.
     """
     mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
     candidates = [candidate for candidate in comm.allgather(mine) if candidate is not None]
@@ -271,12 +256,7 @@ def agreed_observer(
     """Return an observer whose answer, or exception, is the same on all ranks. Collective.
 
     Calls of the returned observer are collective. It returns True if the observer of any rank
-    returns True.
-
-    Args:
-        comm: the communicator.
-        observer: the observer of this rank, or None.
-        argument: the type of the observer's argument, for the error message.
+    returns True. Error messages name the type of the observer's argument.
 
     Raises:
         InputError: the observer of a rank is not callable.

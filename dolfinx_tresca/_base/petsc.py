@@ -22,9 +22,9 @@ class PetscOwner(ABC):
     """Base class of PETSc owners: `destroy()`, or the end of a `with` block, frees the objects.
 
     A `ContactError` is raised on all ranks together, so the objects are freed after it, too. After
-    any other exception on several ranks, the objects are left to petsc4py. Freeing them is
-    collective: it would wait for ranks that may not have raised the exception, and the exception
-    would never be shown.
+    any other exception on several ranks, the objects are left to petsc4py: freeing them is
+    collective, and would wait for ranks that may not have raised the exception, which would never
+    be shown.
 
     Attributes:
         comm: the communicator of the objects.
@@ -49,10 +49,8 @@ def free_unused(comm: MPI.Comm) -> None:
 
     On one rank, petsc4py frees an object as soon as Python drops it. On several ranks, freeing is
     collective, but the ranks drop objects at different times: petsc4py keeps them until this call.
-
-    Args:
-        comm: the communicator of the objects; for objects on a mesh `mesh.comm`, which is not the
-            communicator that the mesh was made with, but a duplicate.
+    For objects on a mesh the communicator is `mesh.comm`, a duplicate of that which the mesh was
+    made with.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
@@ -69,15 +67,12 @@ _REFERENCE = MPI.Comm.Create_keyval(
 
 
 def keep_inner_communicator(comm: MPI.Comm) -> None:
-    """Keep the communicator that PETSc makes for a communicator, as long as the latter exists.
+    """Keep the communicator that PETSc makes for that of an index map as long as the latter exists.
 
     PETSc duplicates a communicator for its first object on it, and frees the duplicate after the
     last one. The vectors of Functions are freed by each rank on its own: if an exception keeps them
     on one rank, the next vector would be the first one on the other ranks, which would wait for
     ever. Collective.
-
-    Args:
-        comm: the communicator of an index map.
     """
     if comm.size > 1 and comm.Get_attr(_REFERENCE) is None:
         # a copy of the handle, since DOLFINx keeps the index map as long as its own object exists
@@ -121,9 +116,8 @@ def dense_matrix(rows: Array, comm: Any) -> PETSc.Mat:
 def product(matrix: PETSc.Mat, columns: csr_array) -> csr_array:
     """Return this rank's rows of the product of a PETSc matrix and sparse columns. Collective.
 
-    Args:
-        matrix: (rows of this rank, n).
-        columns: (rows of this rank, k) all columns of the second matrix.
+    The matrix has (rows of this rank, n), `columns` (rows of this rank, k) all columns of the
+    second.
     """
     comm, k = matrix.comm, columns.shape[1]
     right = sparse_matrix(columns, (k if comm.rank == 0 else 0, k), comm)

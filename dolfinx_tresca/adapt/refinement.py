@@ -38,9 +38,7 @@ NEARLY = 0.8
 
 @collective(comm_of("tagged_mesh", "cell_errors"), ignored=("cell_errors",))
 def refine(
-    tagged_mesh: TaggedMesh,
-    cell_errors: fem.Function | Array,
-    fraction: float = 0.5,
+    tagged_mesh: TaggedMesh, cell_errors: fem.Function | Array, fraction: float = 0.5
 ) -> TaggedMesh:
     """Return a mesh with smaller cells where errors are large, and the same tags. Collective.
 
@@ -139,11 +137,8 @@ def bisected(mesh: Any, marked: Mask) -> Bisection:
     DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based on
     the skeleton): angles stay away from zero after any number of bisections. Among edges of equal
     length, DOLFINx cuts the first one in the numbering of a rank, which depends on the partition:
-    the mesh is stretched meanwhile, in the same way for any partition.
-
-    Args:
-        mesh: mesh of simplices.
-        marked: (owned cells,) whether each cell is marked.
+    the mesh of simplices is stretched meanwhile, in the same way for any partition. `marked` (owned
+    cells,) tells which cells are marked.
     """
     dim = mesh.topology.dim
     mesh.topology.create_entities(1)
@@ -175,10 +170,7 @@ def bisected(mesh: Any, marked: Mask) -> Bisection:
 
 
 def snapped(
-    bisection: Bisection,
-    facets: Indices,
-    tags: LocalNumbers,
-    surfaces: Mapping[int, ExactSurface],
+    bisection: Bisection, facets: Indices, tags: LocalNumbers, surfaces: Mapping[int, ExactSurface]
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
 
@@ -235,12 +227,7 @@ def snapped(
 
 
 def _distributed(tagged_mesh: TaggedMesh, bisection: Bisection) -> TaggedMesh:
-    """Return the mesh of bisected cells, with tags and on curved surfaces. Collective.
-
-    Args:
-        tagged_mesh: the mesh before.
-        bisection: the bisected cells of this mesh.
-    """
+    """Return the mesh of bisected cells, with tags and on curved surfaces. Collective."""
     mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry
     comm, dim = mesh.comm, mesh.topology.dim
     facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
@@ -273,15 +260,8 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
 
     This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
     except that cells whose errors nearly equal the least marked error are marked, too (`NEARLY`).
-    Every rank gets the errors of all cells, 8 bytes each.
-
-    Args:
-        comm: communicator of the ranks.
-        squares: (n,) squared errors of this rank's cells, none negative; not all zero.
-        fraction: part of the sum over all ranks, in (0, 1].
-
-    Returns:
-        (n,) whether each of this rank's cells is marked.
+    Every rank gets the errors of all cells, 8 bytes each, and marks those of its own, (n,). No
+    squared error is negative, and not all are zero.
     """
     above = 1.0 + 1e-9  # beyond a squared error by more than rounding
     descending = np.sort(np.concatenate(comm.allgather(squares)))[::-1]
@@ -329,9 +309,7 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
 
 
 def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
-    """Check the user's `cell_errors`, and return the errors (n,) of the cells that this rank owns.
-
-    Not collective.
+    """Check `cell_errors`, and return the errors (n,) of this rank's own cells. Not collective.
 
     Raises:
         InputError: the number of errors is wrong, values are negative or not finite, or a Function
@@ -365,12 +343,8 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
 def _with_names(mesh: Any, old: Any, entities: GlobalNumbers, values: LocalNumbers) -> Any:
     """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.
 
-    Args:
-        mesh: the mesh.
-        old: tags of the old mesh, of entities of the same dimension.
-        entities: (n, nodes) nodes of entities on any rank, with the numbers that were passed to
-            `create_mesh`.
-        values: (n,) tags of the entities.
+    The entities (n, nodes) with the values (n,) are on any rank, and have the numbers of nodes that
+    were passed to `create_mesh`.
     """
     mesh.topology.create_connectivity(old.dim, 0)
     mesh.topology.create_connectivity(old.dim, mesh.topology.dim)

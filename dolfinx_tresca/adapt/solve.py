@@ -30,11 +30,7 @@ from dolfinx_tresca._base.parallel import (
     log,
 )
 from dolfinx_tresca._base.tolerances import FORCING
-from dolfinx_tresca.adapt.refinement import (
-    check_tagged_mesh,
-    checked_cell_errors,
-    refine,
-)
+from dolfinx_tresca.adapt.refinement import check_tagged_mesh, checked_cell_errors, refine
 from dolfinx_tresca.derivatives.goals import GoalError
 from dolfinx_tresca.errors import ConvergenceError, InputError, shown
 from dolfinx_tresca.problem.linear import ContactProblem
@@ -165,16 +161,9 @@ def judged(
 ) -> Level:
     """Estimate the error of the mesh of a solution; this may solve again. Collective.
 
-    Args:
-        number: number of the mesh.
-        tagged_mesh: the mesh.
-        problem: the problem that was solved.
-        solution: the last solution of the problem, solved to the default accuracy.
-        goal: the number whose error counts; None: the energy error counts.
-        start: time at which the work on the mesh began, as of `time.perf_counter`.
-
-    Returns:
-        the mesh with its solution, which is accurate enough for the goal.
+    The problem is solved to the default accuracy; the result has a solution that is accurate enough
+    for the goal, or for the energy error if there is none. `start` is when the work on the mesh
+    began, as of `time.perf_counter`.
     """
     products, goal_error = solution.products, None
     if goal is not None and solution.status is ContactStatus.CONVERGED:

@@ -55,7 +55,7 @@ _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": 
 
 
 def optional(name: str) -> Any:
-    """Import a module that is needed for pictures or `to_pyvista` only. Not collective.
+    """Import a module that only pictures and `to_pyvista` need. Not collective.
 
     Raises:
         ContactError: it is not installed, or does not suit what is installed.
@@ -108,9 +108,8 @@ class Grid:
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     """Return the grid of the whole mesh on rank `ROOT`, None on other ranks. Collective.
 
-    Args:
-        functions: Functions on the same mesh: one or more continuous Lagrange Functions of one
-            degree, of which the first Function is one, and maybe Functions of degree 0.
+    The functions are on one mesh: continuous Lagrange Functions of one degree, the first one among
+    them, and maybe Functions of degree 0.
     """
     space = functions[0].function_space
     index_map = space.dofmap.index_map
@@ -150,19 +149,15 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
     if isinstance(function, IntegerFunction):
         values = np.rint(values).astype(np.int32)
     values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
-    rows: npt.NDArray[Any] = values.reshape(-1, 3 ** len(shape)) if shape else values
-    return rows
+    return np.asarray(values.reshape(-1, 3 ** len(shape)) if shape else values)
 
 
 def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     """Return the grids "volume" and "contact" of a solution on the first rank, none on others.
 
     With several pairs there is a grid for each, named after the pair. The degree of the volume is
-    high enough for curved cells to be shown as curved; surfaces are of degree 1. Collective.
-
-    Args:
-        solution: the solution to be written.
-        fields: further Functions and tags for the grid "volume".
+    high enough for curved cells to be shown as curved, and it has the user's fields, too; surfaces
+    are of degree 1. Collective.
 
     Raises:
         InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
@@ -192,12 +187,9 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
 
 
 def _unused_name(name: str, taken: Container[str], number: int) -> str:
-    """Return an unused name for a grid, of letters, digits and underscores. Not collective.
+    """Return a name for a grid that is not taken, of letters, digits and underscores.
 
-    Args:
-        name: name of a pair.
-        taken: names of other grids.
-        number: number of the pair, which is appended if the name is taken.
+    It is that of a pair, whose number is appended if the name is taken.
     """
     result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
     while result in taken:
@@ -255,15 +247,13 @@ def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
     mesh = functions[0].function_space.mesh
     degrees = [function.function_space.ufl_element().degree for function in functions]
     degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
-    results = []
-    for function in functions:
-        result = function
-        if function.function_space.ufl_element().degree not in (0, degree):
+    results = [*functions]
+    for number, function in enumerate(functions):
+        if degrees[number] not in (0, degree):
             W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
-            result = fem.Function(W, name=function.name)
-            result.interpolate(function)
-            result.x.scatter_forward()
-        results.append(result)
+            results[number] = fem.Function(W, name=function.name)
+            results[number].interpolate(function)
+            results[number].x.scatter_forward()
     return results
 
 

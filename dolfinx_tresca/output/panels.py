@@ -143,12 +143,7 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
 def draw_bar(panel: Any, name: str, unit: str, cmap: str, limits: Sequence[float]) -> None:
     """Draw a colour bar at the bottom of a panel; an arrow and a text show a peak beyond it.
 
-    Args:
-        panel: the panel.
-        name: name of the quantity.
-        unit: unit of the values, or "".
-        cmap: matplotlib's name of the colours.
-        limits: see `colour_range`.
+    The limits are those of `colour_range`, the colours have matplotlib's name of them.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -208,14 +203,7 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
 
 
 def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
-    """Draw pressure, traction and slip against arc length. Not collective.
-
-    Args:
-        panel: the panel of the picture.
-        contact: the contact curve.
-        length: unit of length, or "".
-        stress: unit of stress, or "".
-    """
+    """Draw pressure, traction and slip against arc length, with names of units. Not collective."""
     values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
     charts = [(["pressure"], "contact pressure", stress)]
     if "slip" in values:
@@ -256,12 +244,8 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
 def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     """Yield a plotter of pyvista; put the largest view of all that is drawn into a panel.
 
-    The view has no perspective. Arrows at its lower left show the coordinate directions.
-
-    Args:
-        panel: the panel.
-        normal: (3,) direction to the viewer.
-        up: (3,) direction that is upward in the view.
+    The view has no perspective. Arrows at its lower left show the coordinate directions. The normal
+    (3,) points to the viewer, and `up` (3,) upward in the view.
     """
     import pyvista
 
@@ -324,12 +308,7 @@ def draw_bodies(
 ) -> None:
     """Draw the deformed bodies, the contact curves of 2D, and rigid obstacles.
 
-    Args:
-        panel: the panel of the picture.
-        volume: the mesh with the displacement.
-        contacts: the contact surfaces of all pairs.
-        scale: magnification of the displacement; None: `magnification` chooses it.
-        unit: unit of length, or "".
+    The scale magnifies the displacement; if it is None, `magnification` chooses it.
     """
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2
@@ -393,20 +372,11 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 
 
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
-    """Draw an obstacle near points.
+    """Draw an obstacle near points (n, 3) of the bodies; return whether it is there to be drawn.
 
-    In 2D all of it is drawn, where its signed distance is negative. In 3D its surface is drawn. The
-    sides that are seen from within the obstacle are transparent, so that obstacles in front of the
-    points do not hide them.
-
-    Args:
-        plotter: a plotter of pyvista.
-        obstacle: the obstacle to draw.
-        points: (n, 3) points of the bodies [length].
-        flat: whether the bodies are in the plane.
-
-    Returns:
-        whether the surface of the obstacle is near the points, and its distance can be computed.
+    In 2D (`flat`) all of it is drawn, where its signed distance is negative. In 3D its surface is
+    drawn. The sides that are seen from within the obstacle are transparent, so that obstacles in
+    front of the points do not hide them.
     """
     import pyvista
 
@@ -462,12 +432,6 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
 
     Other facets, such as the sides and the top of a block whose whole boundary has the tag, would
     hide the facets that may touch.
-
-    Args:
-        panel: the panel of the picture.
-        contact: the contact surface.
-        length: unit of length, or "".
-        stress: unit of stress, or "".
     """
     import pyvista
 

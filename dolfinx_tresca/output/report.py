@@ -119,9 +119,7 @@ class ProblemSummary:
 def figures(values: npt.ArrayLike, error: float) -> str:
     """Return the text of a number or a vector, with as many digits as its error justifies: 1 to 8.
 
-    Args:
-        values: number or vector.
-        error: error relative to the number, or to the largest component.
+    The error is relative to the number, or to the largest component.
     """
     digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
     size = float(np.abs(values).max())
@@ -235,12 +233,9 @@ def contact_rows(
 
 
 def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
-    """Return the page as text. Not collective.
+    """Return the page of a `ContactSolution` as text, with the solutions of earlier load steps.
 
-    Args:
-        solution: the `ContactSolution`.
-        steps: the solutions of earlier load steps.
-        picture: `PIL.Image.Image` of the solution.
+    The picture is a `PIL.Image.Image`. Not collective.
     """
     image, script = io.BytesIO(), Path(getattr(sys.modules["__main__"], "__file__", ""))
     picture.save(image, format="PNG")

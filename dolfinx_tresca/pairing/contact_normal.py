@@ -22,7 +22,7 @@ import numpy as np
 import basix
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, unit
-from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
+from dolfinx_tresca.pairing.facets import SurfaceNodes, tangents
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
 #: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot
@@ -63,9 +63,8 @@ def contact_normals(own: Array, partner: Array, own_turn: Array, partner_turn: A
     Args:
         own: (..., 3) outward unit normals of the secondary side.
         partner: (..., 3) outward unit normals of the primary side at the opposite points.
-        own_turn: (...) angles by which the normals of the secondary side turn over their facets
-            [rad].
-        partner_turn: (...) angles by which the normals of the primary side turn [rad].
+        own_turn: (...) angles by which normals turn over facets of the secondary side [rad].
+        partner_turn: (...) angles by which normals turn over facets of the primary side [rad].
     """
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[..., None]  # of the own normal
@@ -96,7 +95,6 @@ class SmoothSurface:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans; next to a kink it is zero.
-        turning: whether normals of this rank's facets turn, or facets have a height.
         across: (n, k, 3) outward unit normals of the other smooth patches at the corners of each
             facet, which are behind sharp edges; zero rows stand for missing ones. At the ends of a
             curve (2D) the body is taken to go on at right angles, as at the corner of a box.
@@ -104,15 +102,11 @@ class SmoothSurface:
             least a right angle where the smooth surface ends [rad]: normals are less accurate at
             both, and the partner's decide. The surface ends at sharp edges and at rims, in 3D only
             if it is curved there.
-        corner_normals: (n, corners, 3) outward unit normals of the surface at the corners of
-            facets.
+        corner_normals: (n, corners, 3) outward unit normals of the surface at corners of facets.
     """
 
     def __init__(self, nodes: SurfaceNodes) -> None:
-        """Fit the surface. Not collective.
-
-        The result is valid for facets around which two rings of neighbours are on this rank.
-        """
+        """Fit the surface; valid for facets with two rings on this rank. Not collective."""
         facets, corner_nodes, rim = nodes.facets, nodes.facet_nodes, _rim_nodes(nodes)
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
@@ -122,12 +116,11 @@ class SmoothSurface:
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
         turns_at_kinks = turned_angles(self._cosines())
-        self._heights = self._fitted_heights(smooth)
+        self._height_factors = self._fitted_heights(smooth)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
-        kinked = ((1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0))[:, None]
-        self.corner_normals += kinked[:, None] * (
-            self._facet_normals[:, None] - self.corner_normals
-        )
+        kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
+        leaning = self._facet_normals[:, None] - self.corner_normals
+        self.corner_normals += kinked[:, None, None] * leaning
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
@@ -147,28 +140,21 @@ class SmoothSurface:
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
         # facets whose geometry is known go on at rims
         at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
-        self.turning = bool(self._heights.any() or (self.turns > FLAT_ANGLE).any())
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
 
     def _fitted_heights(self, smooth: Array) -> Array:
         """Return the factors (n, pairs) of products of two hat functions in heights [length].
 
-        They are all zero if facets are bent, or if no height of this rank is above rounding.
-
-        Args:
-            smooth: (n,) factor of `_smoothness`.
+        They are zero if facets are bent; `smooth` (n,) is the factor of `_smoothness`.
         """
-        facets, (start, end) = self.facets, self._slopes()
+        start, end = self._slopes()
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
         cosines = self._cosines()
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        size = np.ptp(self._corners, axis=1).max(axis=1)
-        rounding = (MESH_ROUNDING + facets.rounding) * size
-        above = np.abs(heights).max(axis=1, initial=0.0) > rounding
-        return np.asarray(heights * (not facets.bent and bool(above.any())))
+        return np.asarray(heights * (not self.facets.bent))
 
     def _cosines(self) -> Array:
         """Return the cosines (n, corners) between the normals at corners and of the facet."""
@@ -183,38 +169,31 @@ class SmoothSurface:
     def _smoothness(self, nodes: SurfaceNodes, rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
-        Nodal normals at the rim are less accurate, so a facet there is as smooth as those that
-        surround its other corners. If there are none, the facets of a curve count as kinked. On a
-        surface (3D), such as a strip one facet wide, the least smooth facet around counts.
-
-        Args:
-            nodes: the corners of the facets.
-            rim: (nodes,) whether a node is at the rim.
+        Nodal normals at the rim (nodes,) are less accurate, so a facet there is as smooth as those
+        that surround its other corners. If there are none, the facets of a curve count as kinked.
+        On a surface (3D), such as a strip one facet wide, the least smooth facet around counts.
         """
         start, end = self._slopes()
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
-        excess = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
-        result = np.clip((1.0 - excess) / (1.0 - UNEVEN), 0.0, 1.0)
+        unevenness = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
+        result = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
         corner_nodes = nodes.facet_nodes
         at_rim = rim[corner_nodes]
-        outer = at_rim.any(axis=1)
-        inner = nodes.reduced(np.minimum, result[~outer, None], np.inf, ~outer)[corner_nodes]
-        least = nodes.reduced(np.minimum, result[:, None], np.inf)[corner_nodes].min(axis=1)
-        around = np.where(at_rim, np.inf, inner).min(axis=1, initial=np.inf)
-        alone = 0.0 if self.facets.dim == 1 else least
-        return np.where(outer, np.where(np.isinf(around), alone, around), result)
+        inner = ~at_rim.any(axis=1)
+        of_inner = nodes.reduced(np.minimum, result[inner, None], np.inf, inner)[corner_nodes]
+        around = np.where(at_rim, np.inf, of_inner).min(axis=1, initial=np.inf)
+        of_all = nodes.reduced(np.minimum, result[:, None], np.inf)[corner_nodes].min(axis=1)
+        without_inner = 0.0 if self.facets.dim == 1 else of_all
+        return np.where(inner, result, np.where(np.isinf(around), without_inner, around))
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
 
         With the end c of a curve and the other corner d of its facet (n_c + n_d).(x_d - x_c)
-        becomes zero, as far as the curve is smooth at d. (In 3D a node at the rim has neighbours
-        enough for its fitted normal.)
-
-        Args:
-            at_rim: (n, 2) whether the corners of each facet are at an end.
-            smooth: (n,) factor of `_smoothness`.
+        becomes zero, as far as the curve is smooth at d (`_smoothness`, (n,)). In 3D a node at the
+        rim has neighbours enough for its fitted normal. `at_rim` (n, 2) tells which corners are at
+        an end.
         """
         for c, d in ((0, 1), (1, 0)):
             ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
@@ -225,36 +204,26 @@ class SmoothSurface:
         self.corner_normals = unit(self.corner_normals)
 
     def points(self, facet: Indices, x: Array) -> Array:
-        """Return points (n, q, 3) of the fitted surface over facets (n,) [length].
-
-        Args:
-            facet: the facets.
-            x: (q, dim) reference coordinates, the same for all facets.
-        """
+        """Return points (n, q, 3) of the fitted surface over facets (n,) at x (q, dim) [length]."""
         points = self.facets.basis(x) @ self.facets.points[facet]
         hats = np.tile(self.facets.hats(x), (len(facet), 1))
         heights = self.heights(np.repeat(facet, len(x)), hats).reshape(points.shape[:2])
         return np.asarray(points + heights[:, :, None] * self._facet_normals[facet][:, None])
 
     def heights(self, facet: Indices, hats: Array) -> Array:
-        """Return the fitted heights (n,) over facets, along the outward normal [length].
+        """Return the fitted heights (n,) over facets (n,), along the outward normal [length].
 
-        Args:
-            facet: (n,) the facet of each point.
-            hats: (n, corners) values of the facet's hat functions at each point.
+        `hats` (n, corners) are the values of the facet's hat functions at each point.
         """
         products = hats[:, self._first] * hats[:, self._second]
-        return dots(products, self._heights[facet])
+        return dots(products, self._height_factors[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
-        """Return vectors (n, 3) from facets to the surface [length], and its unit normals (n, 3).
+        """Return vectors (n, 3) from points x (n, dim) of facets to the surface, and its normals.
 
         This is the exact surface where it is known, else the fitted one; bent facets are their own
-        surface, with offset zero.
-
-        Args:
-            facet: (n,) the facet of each point.
-            x: (n, dim) reference coordinates of each point on its facet.
+        surface, with offset zero. Lengths are those of the mesh, and the normals (n, 3) have length
+        1.
         """
         facets = self.facets
         hats = facets.hats(x)
@@ -278,19 +247,12 @@ class SmoothSurface:
         partner_facet: Indices,
         partner_normals: Array,
     ) -> Mask:
-        """Return whether this surface and another one may touch at opposite points, (n,).
+        """Return whether this surface and a partner may touch at opposite points (n,).
 
-        They may if their normals are opposed (`OPPOSED_ANGLE`). Beside a sharp edge they may also
-        if the partner is opposed to the edge, whose normals are all between those of the patches
-        that meet there. But where it is opposed to a patch across the edge, the contact is on that
-        patch: this facet only recedes from the partner.
-
-        Args:
-            facet: (n,) the facet of each point.
-            normals: (n, 3) outward unit normals at the points.
-            partner: the other surface.
-            partner_facet: (n,) the facet of each opposite point.
-            partner_normals: (n, 3) outward unit normals at the opposite points.
+        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`). Beside a sharp
+        edge they may also if the partner is opposed to the edge, whose normals are all between
+        those of the patches that meet there. But where it is opposed to a patch across the edge,
+        the contact is on that patch: this facet only recedes from the partner.
         """
         turned = self.turns[facet] + partner.turns[partner_facet]
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
@@ -319,11 +281,7 @@ def _normals_across_edges(nodes: SurfaceNodes) -> Array:
 
 
 def turned_angles(cosines: Array) -> Array:
-    """Return the angles (n,) by which normals turn over facets [rad].
-
-    Args:
-        cosines: (n, corners) cosines between the normals at the corners and at the centre.
-    """
+    """Return the angles (n,) by which normals turn [rad], by cosines (n, corners) to the mean."""
     least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
     return np.asarray(2.0 * np.arccos(least))
 
@@ -334,27 +292,19 @@ def _rim_nodes(nodes: SurfaceNodes) -> Mask:
     corners = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
     sides: Indices = np.sort(nodes.facet_nodes[:, corners].reshape(-1, facets.dim), axis=1)
     sides, count = np.unique(sides, axis=0, return_counts=True)
-    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
-    result[sides[count == 1]] = True
-    return result
+    return np.isin(np.arange(len(nodes.numbers)), sides[count == 1])
 
 
 def fitted_normals(nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
     The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
-    with facets of different sizes and shapes, as after local refinement, the error of the mean is a
-    fixed part of the angle between facets. Then the relative error of the sagitta (the height of
-    the surface over a facet) does not vanish as the mesh is refined. A least-squares fit of a
-    quadratic height function does not have this error (Cazals and Pouget 2005, Estimating
-    differential quantities using polynomial fitting of osculating jets). With too few neighbours
-    the mean normal is kept. The result is valid at nodes whose adjacent facets are all on this
-    rank.
-
-    Not collective.
-
-    Args:
-        nodes: the corners of the facets of a surface.
+    with facets of different sizes and shapes, as after local refinement, its error is a fixed part
+    of the angle between facets, and the relative error of the sagitta (the height of the surface
+    over a facet) does not vanish as the mesh is refined. A least-squares fit of a quadratic height
+    function does not have this error (Cazals and Pouget 2005, Estimating differential quantities
+    using polynomial fitting of osculating jets). With too few neighbours the mean normal is kept.
+    The result is valid at nodes whose adjacent facets are all on this rank. Not collective.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()

@@ -101,12 +101,8 @@ class ContactOperators:
     ) -> None:
         """Wrap the operators of a pair; matrices are created on first use. Not collective.
 
-        Args:
-            V: the space of the displacement.
-            pair: the operators of the pair.
-            surfaces: the contact pair.
-            columns: function that converts a matrix from the columns of V to the columns of K,
-                which differ if V is a component of a mixed space.
+        `columns` converts a matrix from the columns of V to those of K, which differ if V is a
+        component of a mixed space.
         """
         self._V, self._pair, self._surfaces, self._columns = V, pair, surfaces, columns
         self.comm = V.mesh.comm
@@ -268,12 +264,8 @@ class ContactOperators:
     def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
         """Return a density at contact nodes as a Function with values on both sides. Collective.
 
-        Nodes of the primary side have the transferred density.
-
-        Args:
-            density: (n, d) values at contact nodes; a scalar density is in the first column.
-            name: name of the Function.
-            scalar: whether the density is a scalar.
+        Nodes of the primary side have the transferred density. The density has values (n, d) at
+        contact nodes; a scalar density is in the first column.
         """
         shape = () if scalar else (self._V.dofmap.index_map_bs,)
         Q = fem.functionspace(self._V.mesh, ("Lagrange", 1, shape))
@@ -315,14 +307,10 @@ class ContactOperators:
         return np.asarray(number[self._pair.nodes])
 
     def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
-        """Create the matrix (n, nodes of Q) that acts on Q like `rows` on V. Collective.
+        """Create the matrix (n, nodes of Q) that acts on Q like `rows` (n, nodes of V) on V.
 
-        At nodes of V on edges and faces a field of degree 1 is interpolated from the corners of a
-        cell.
-
-        Args:
-            Q: a space of degree 1.
-            rows: (n, nodes of V) sparse matrix, with global column numbers.
+        Q is a space of degree 1; at nodes of V on edges and faces its fields are interpolated from
+        the corners of a cell. The sparse `rows` have global column numbers. Collective.
         """
         V, element = self._V, self._V.element.basix_element
         # exact zeros, halves and quarters, so that nodes off the surface have no entries

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, dots, unit
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, gather_rows, log, reduce_array, warn
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, warn
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.pairing.contact_normal import CANCELLED
 from dolfinx_tresca.pairing.facets import (
@@ -28,7 +28,7 @@ from dolfinx_tresca.pairing.facets import (
 )
 from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pieces import owns
+from dolfinx_tresca.pairing.pieces import owners_flags, owns
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.pair import ContactPair
@@ -76,25 +76,17 @@ SAME_MEANS = 1e-3
 def corners_that_carry(
     V: Any, nodes: SurfaceNodes, integrals: FacetIntegrals, shared: Mask
 ) -> Mask:
-    """Return the mask of the corners of facets that carry multipliers. Collective.
+    """Return the mask (facets, corners) of the corners that carry multipliers. Collective.
 
     The other corners give their part of the overlap to their neighbours: these are nodes beyond the
     rim of the overlap. A part of the area of such a node may be covered, but the node itself does
     not face the primary side. If it had a multiplier, the primary side would seem to extend up to
     the node: the nodal force would be as large as for a whole facet, and the pressure, this force
-    divided by the covered area, would be far too large.
+    divided by the covered area, would be far too large. If no corner of a facet would have a
+    multiplier, the corner with the largest covered part keeps its multiplier.
 
-    If no corner of a facet would have a multiplier, the corner with the largest covered part keeps
-    its multiplier.
-
-    Args:
-        V: the space of the displacement.
-        nodes: nodes of the secondary side.
-        integrals: the integrals over the overlap.
-        shared: (n,) whether a node also belongs to the primary side.
-
-    Returns:
-        (facets, corners) the mask; the same for a node on all ranks that have it.
+    All ranks that have a node decide alike; `shared` (n,) are nodes that also belong to the primary
+    side.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     covered = nodes.reduced(np.add, weights, 0.0)
@@ -102,11 +94,6 @@ def corners_that_carry(
     # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
-    own = owns(V, nodes.numbers)
-
-    def owners_flags(flags: Mask) -> Mask:
-        """Return for each node the flag (n,) on its owner, which has all facets at the node."""
-        return np.isin(nodes.numbers, gather_rows(V.mesh.comm, nodes.numbers[flags & own]))
 
     def corners_of(facets: Mask) -> Mask:
         """Return the mask (n,) of the nodes of facets in a mask."""
@@ -114,20 +101,20 @@ def corners_that_carry(
 
     partial = ~integrals.full & (weights.sum(axis=1) > 0.0)
     at_rim = corners_of(partial)
-    without = owners_flags(at_rim & (covered < LEAST_MEAN * whole))
+    without = owners_flags(V, nodes, at_rim & (covered < LEAST_MEAN * whole))
     # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
     # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
     # which one of these nodes has a multiplier
-    near = owners_flags(at_rim & corners_of(integrals.full))
-    near = owners_flags(at_rim & (near | corners_of(partial & near[corners].any(axis=1))))
+    near = owners_flags(V, nodes, at_rim & corners_of(integrals.full))
+    near = owners_flags(V, nodes, at_rim & (near | corners_of(partial & near[corners].any(axis=1))))
     near = corners_of(partial & (near & ~without)[corners].any(axis=1))
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
-    without = owners_flags((covered > 0.0) & without & single)
+    without = owners_flags(V, nodes, (covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
     largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
     without[corners[no_carrier[:, None] & largest]] = False
-    return np.asarray(~owners_flags(without)[corners])
+    return np.asarray(~owners_flags(V, nodes, without)[corners])
 
 
 def nodes_with_multipliers(
@@ -144,8 +131,8 @@ def nodes_with_multipliers(
             a surface that touches itself, see `redundant_nodes`.
 
     Raises:
-        PairingError: no node of any rank carries a multiplier. With finite sliding this is not an
-            error if nodes could carry multipliers in other positions of the bodies.
+        PairingError: no node of any rank carries a multiplier. With finite sliding this is no error
+            if nodes could carry multipliers in other positions of the bodies.
     """
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
@@ -217,7 +204,6 @@ def couple(
     carries: Mask,
     shared: Mask,
     moved: bool,
-    bodies: Indices | None = None,
 ) -> PairOperators:
     """Find the jumps at secondary nodes by integrals over facets that face the other side.
 
@@ -237,9 +223,6 @@ def couple(
         shared: (n,) whether a node belongs to both sides, and so has no multiplier.
         moved: whether the surfaces are displaced. There is then no warning of a close fit, since
             penetration is an error of the displacement.
-        bodies: (n,) number of the body that a node faces; None if all face the same body. Smooth
-            patches of a node on a sharp edge (`SurfaceNodes`) that face different bodies are
-            treated like different nodes.
 
     Raises:
         PairingError: no node can carry a multiplier.
@@ -287,8 +270,7 @@ def couple(
     jump, across, friction_acts = jump[position], across[position], free
     if primary is not None:
         friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
-    patches = numbers if bodies is None else numbers * columns + bodies[position]
-    has_normal_row, room = _normals_and_room(patches, across, normals, friction_acts, ~prescribed)
+    has_normal_row, room = _normals_and_room(numbers, across, normals, friction_acts, ~prescribed)
     along, tangent_node = _free_tangents(normals, room)
     rubs = ~smooth[tangent_node]
     extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
@@ -349,10 +331,10 @@ def mortar_rows(
         carries: (facets, corners) whether a corner has a multiplier, see `couple`.
 
     Returns:
-        For each of the nodes (n,) the covered area [length^2, in 2D length]; the sparse matrix
-        (n, nodes of V) of the jump, secondary minus primary, and the one of its primary part; and
-        (n, 9) the means of the six quantities of `FacetIntegrals.means`, and the three coordinates
-        of the point of application of the nodal force.
+        For each of the nodes (n,) the covered area [length^2, in 2D length]; the sparse matrix (n,
+        nodes of V) of the jump, secondary minus primary, and that of its primary part; and (n, 9)
+        the means of the six quantities of `FacetIntegrals.means`, and the three coordinates of the
+        point of application of the nodal force.
     """
     corners = nodes.facet_nodes
     sizes = np.einsum("nij,njk->ni", redistribution(carries), integrals.hats)
@@ -378,15 +360,14 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
     (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i
     for i = j, and zero otherwise. So a nodal pressure is the nodal force divided by the node's
     covered area. If corners have no multiplier, their hat functions are first added, in equal
-    parts, to the hat functions of the other corners of the facet, and the basis is biorthogonal to
-    these sums. In both cases the basis functions sum to 1, so that constant pressures are
-    transferred exactly.
+    parts, to those of the other corners of the facet, and the basis is biorthogonal to these sums;
+    a facet without multipliers has no basis functions. In both cases the basis functions sum to 1,
+    so that constant pressures are transferred exactly.
 
     Args:
         hats: (n, corners, corners) integrals of the products of two hat functions over the covered
             parts of facets.
-        carries: (n, corners) whether a corner carries a multiplier. A facet without such corners
-            has no basis functions.
+        carries: (n, corners) whether a corner carries a multiplier.
     """
     every = np.eye(hats.shape[1])
     sums = redistribution(carries)
@@ -402,12 +383,9 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
 def redistribution(receives: Mask) -> Array:
     """Return matrices (n, corners, corners) that distribute values at the corners of facets.
 
-    The values of corners that are not in `receives` become zero, and are added in equal parts to
-    those of the corners in `receives`. The sum over the corners of a facet does not change, so that
-    a facet transfers a constant pressure even if some of its corners have no multiplier.
-
-    Args:
-        receives: (n, corners) whether a corner receives values of other corners.
+    The values of corners that are not in `receives` (n, corners) become zero, and are added in
+    equal parts to those of the other corners. The sum over a facet does not change, so that it
+    transfers a constant pressure even if some of its corners have no multiplier.
     """
     number = np.maximum(receives.sum(axis=1), 1)[:, None, None]
     shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / number)
@@ -417,16 +395,10 @@ def redistribution(receives: Mask) -> Array:
 def assemble_rows(
     nodes: SurfaceNodes, rows: Indices, columns: GlobalNumbers, values: Array, width: int
 ) -> Any:
-    """Assemble dense blocks, one for each facet, into a sparse matrix (nodes, width).
+    """Assemble blocks (n, corners, k), one for each facet, into a sparse matrix (nodes, width).
 
-    Entries that are rounding errors (`ENTRY_ROUNDING`) are left out.
-
-    Args:
-        nodes: the secondary nodes, one row for each.
-        rows: (n, corners) indices in `nodes` of the rows of each block.
-        columns: (n, k) global numbers of the columns of each block.
-        values: (n, corners, k) the blocks.
-        width: number of columns of the matrix.
+    Entries that are rounding errors (`ENTRY_ROUNDING`) are left out. The blocks have the rows (n,
+    corners), as indices in `nodes`, and the global columns (n, k).
     """
     places = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
     entries = values.ravel(), (places[0].ravel(), places[1].ravel())
@@ -442,11 +414,8 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
     Primary nodes whose share of the mean is at most `NEGLIGIBLE`, and nodes within edges of facets
-    of degree 2, do not count. A node that faces no primary node is free in no direction.
-
-    Args:
-        primary: (n, nodes of V) sparse matrix of the means over the primary side.
-        facets: facets of the primary side.
+    of degree 2, do not count. A node that faces no primary node is free in no direction. `primary`
+    (n, nodes of V) has the means over the primary side.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     counts = np.abs(primary.data) > NEGLIGIBLE
@@ -458,7 +427,7 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
 
 
 def _normals_and_room(
-    owners: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
+    numbers: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
 ) -> tuple[Mask, Array]:
     """Return the mask (n,) of nodes with a row of N, and projections (n, d, d) onto those of T.
 
@@ -469,8 +438,7 @@ def _normals_and_room(
     and its shank in a hole with clearance, are independent of each other.
 
     Args:
-        owners: (n,) a number for each patch. Patches of one node that face the same body have the
-            same number, and are sorted by ascending weight.
+        numbers: (n,) the node of each patch, ascending, and of one node by ascending weight.
         means: (n, nodes of V) sparse matrix of the means over the primary side; empty for an
             obstacle, which is the same place for all patches.
         normals: (n, d) unit normals.
@@ -479,36 +447,31 @@ def _normals_and_room(
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])
-    ascending = np.argsort(owners, kind="stable")
-    together = owners[ascending[1:]] == owners[ascending[:-1]]
+    together = numbers[1:] == numbers[:-1]
     if together.any():
-        lighter, heavier = means[ascending[:-1][together]], means[ascending[1:][together]]
+        lighter, heavier = means[:-1][together], means[1:][together]
         squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
         apart = (lighter - heavier).power(2).sum(axis=1)
         together[together] = apart <= SAME_MEANS**2 * squares
-    # the pieces of consecutive patches that face the same place: of most nodes there is one patch
+    # runs of patches that face the same place; most nodes have a single patch
     starts, ends = np.flatnonzero(np.diff(together, prepend=False, append=False)).reshape(-1, 2).T
     for start, end in zip(starts, ends, strict=True):
-        patches = ascending[start : end + 1]
-        heaviest = patches[-1]
-        left = room[heaviest].copy()
-        for i in reversed(patches):
+        left = room[end].copy()
+        for i in range(end, start - 1, -1):
             own = left @ normals[i]
             length = np.linalg.norm(own)
             has_row[i] = length > FACING_COSINE
             if has_row[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
-        room[heaviest] = left
+        room[end] = left  # the last patch has the largest weight
     return has_row, room
 
 
 def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
     """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
 
-    Args:
-        normals: (n, d) unit normals.
-        room: (n, d, d) projections onto the available directions.
+    `room` (n, d, d) are projections onto the available directions.
     """
     along = tangents(normals)
     limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))

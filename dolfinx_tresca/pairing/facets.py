@@ -24,9 +24,9 @@ from dolfinx_tresca._base.arrays import (
     unit,
 )
 
-#: Deviation, relative to the size of a facet, that counts as rounding, in addition to the rounding
-#: of coordinates: of nodes from a straight shape, of a curved surface from its facet, of areas from
-#: zero. Mesh files have at least ten digits.
+#: Deviation, relative to the size of a facet, that counts as rounding beside that of coordinates:
+#: of nodes from a straight shape, of a surface from its facet, of areas from zero. Mesh files have
+#: at least ten digits.
 MESH_ROUNDING = 1e-10
 
 #: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
@@ -80,15 +80,12 @@ class Facets:
         nodes: (n, k) global numbers of the displacement's nodes, corners first.
         points: (n, k, 3) positions of the nodes [length].
         free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
-        file_numbers: (n, corners) numbers of the corners in the mesh file, independent of the
-            partition.
-        outward: (n,) 1 if the order of the nodes gives the outward normal, -1 if it gives the
-            inward normal.
-        offsets: (n, q, 3) vectors from points of the facet, the nodes of a Lagrange basis of
-            `OFFSET_DEGREE`, to the exact surface [length]; NaN for facets whose exact surface is
-            unknown, (n, 0, 3) if those of both sides are.
-        origins: (n, 12) body and undeformed shape of the facet on a surface that may touch itself,
-            see `facet_origins`; (n, 0) on other surfaces.
+        file_numbers: (n, corners) numbers of the corners in the mesh file.
+        outward: (n,) 1 if the order of the nodes gives the outward normal, else -1.
+        offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` on the
+            facet to the exact surface [length]; NaN where it is unknown, (n, 0, 3) if it is on both
+            sides.
+        origins: (n, 9) see `facet_origins`; (n, 0) on surfaces that do not touch themselves.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
         axisymmetric: whether each facet is the meridian of a ring about the axis x = 0.
@@ -171,7 +168,7 @@ class Facets:
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with their nodes at other points (n, k, 3); `offsets` turn with them.
 
-        `bent` of the result describes the facets of this rank only; see `with_checked_areas`.
+        `bent` of the result describes this rank only, see `with_checked_areas`.
         """
         moved = replace(self, points=points)
         if self.has_exact_surface:
@@ -189,11 +186,7 @@ class Facets:
         return frames_along(self.points[:, 1] - self.points[:, 0], self.mean_normals)
 
     def area_vectors(self, x: Array) -> Array:
-        """Return outward normals (n, q, 3) whose length is the area element at reference points.
-
-        Args:
-            x: (q, dim) reference points, the same for all facets.
-        """
+        """Return outward normals (n, q, 3), as long as the area element, at points x (q, dim)."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dqk,nki->dnqi", gradients, self.points)
         return np.asarray(cross_products(along) * self.outward[:, None, None])
@@ -210,13 +203,7 @@ class Facets:
         return np.asarray(cross_products(along) * self.outward[facet, None])
 
     def coincide(self, facet: Indices, primary: Facets, partner: Indices) -> Mask:
-        """Return whether pairs (p,) of these facets and primary facets have the same corners.
-
-        Args:
-            facet: (p,) secondary facet of each pair.
-            primary: facets of the primary side.
-            partner: (p,) primary facet of each pair.
-        """
+        """Return whether facets (p,) and partners (p,) on the primary side have equal corners."""
         corners = self.points[facet, : self.corners]
         offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
         size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
@@ -225,17 +212,12 @@ class Facets:
         return np.asarray((nearest <= allowed[:, None]).all(axis=1))
 
     def offsets_at(self, facet: Indices, x: Array) -> Array:
-        """Return the vectors (m, 3) from points on facets to the exact surface [length].
-
-        Args:
-            facet: (m,) the facet of each point, whose exact surface is known.
-            x: (m, dim) reference coordinates of each point.
-        """
+        """Return vectors (m, 3) from facets (m,) at points (m, dim) to their exact surface."""
         values = tabulate(self.cell, OFFSET_DEGREE, 0, x)[0]
         return np.asarray(np.einsum("mk,mki->mi", values, self.offsets[facet]))
 
     def exact_normals_at(self, facet: Indices, x: Array) -> Array:
-        """Return outward unit normals (m, 3) of the exact surface at points; see `offsets_at`."""
+        """Return outward unit normals (m, 3) of the exact surface; see `offsets_at`."""
         along = sum(
             np.einsum("dmk,mki->dmi", tabulate(self.cell, degree, 1, x)[1:], vectors[facet])
             for degree, vectors in ((self.degree, self.points), (OFFSET_DEGREE, self.offsets))
@@ -246,9 +228,7 @@ class Facets:
 def frames_along(sides: Array, normals: Array) -> Array:
     """Return right-handed orthonormal axes (n, 3, 3) in rows: along a side, across it, the normal.
 
-    Args:
-        sides: (n, 3) vectors, which are projected onto the planes of the normals.
-        normals: (n, 3) unit normals.
+    The sides (n, 3) are projected onto the planes of the unit normals (n, 3).
     """
     along = unit(sides - dots(sides, normals)[:, None] * normals)
     return np.stack([along, cross(normals, along), normals], axis=1)
@@ -327,10 +307,9 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """The corners of facets; a node on a sharp edge has one entry for each smooth patch.
+    """The corners of facets; a node on a sharp edge has one entry for each of its `smooth_patches`.
 
-    Weights and normals are valid at nodes whose adjacent facets are all on this rank. See
-    `smooth_patches` for the patches.
+    Weights and normals are valid at nodes whose adjacent facets are all on this rank.
 
     Attributes:
         facets: the facets.
@@ -388,13 +367,9 @@ class SurfaceNodes:
         )
 
     def reduced(self, ufunc: np.ufunc, values: Any, initial: Any, facets: Any = slice(None)) -> Any:
-        """Return the sum, or another reduction, at nodes of values at the corners of facets.
+        """Return a sum, or another reduction, at nodes of values (facets, corners, ...) at corners.
 
-        Args:
-            ufunc: the operation, such as np.add or np.maximum.
-            values: (facets, corners, ...) the values.
-            initial: the value of nodes without a facet.
-            facets: the facets of the values; all by default.
+        Nodes without one of the `facets`, by default all, get the `initial` value.
         """
         result = np.full((len(self.numbers), *values.shape[2:]), initial)
         ufunc.at(result, self.facet_nodes[facets], values)
@@ -405,8 +380,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     """Return outward unit normals (n, corners, 3) of facets at their corners, and their weights.
 
     The weight (n, corners) is sin(angle) / (|a| |b|) for the two sides a and b that meet in the
-    corner; in 2D it is 1 / length of the segment. If all corners around a node lie on a sphere,
-    the weighted sum is normal to the sphere, whatever the shapes and sizes of the facets (Max 1999,
+    corner; in 2D it is 1 / length of the segment. The weighted sum is exact on a sphere (Max 1999,
     Weights for computing vertex normals from facet normals).
     """
     corners = facets.points[:, : facets.corners]
@@ -424,13 +398,10 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 
 
 def free_normals(vectors: Array, free: Mask) -> Array:
-    """Return unit normals (n, 3) along vectors (n, 3), without prescribed components.
+    """Return unit normals (n, 3) along vectors (n, 3), without their prescribed components.
 
-    A vector keeps all components if its free part is at most `FACING_COSINE` of its length.
-
-    Args:
-        vectors: (n, 3) sums of the normals of facets.
-        free: (n, dim of space) whether a component of the displacement is not prescribed.
+    `free` (n, dim of space) says which components are not prescribed. A vector keeps all of them if
+    its free part is at most `FACING_COSINE` of its length.
     """
     normals = unit(vectors)
     movable = normals.copy()
@@ -452,8 +423,7 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
         normals: (n, 3) unit normals of the facets at the corners.
 
     Returns:
-        The patch (n,) of each corner, numbered by ascending nodes, and the node (patches,) of each
-        patch.
+        The patch (n,) of each corner, by ascending nodes, and the node (patches,) of each patch.
     """
     corners = np.arange(len(node))
     shape = len(node), int(node.max(initial=-1)) + 1

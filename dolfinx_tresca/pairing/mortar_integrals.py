@@ -22,7 +22,7 @@ from dolfinx_tresca.pairing.facets import (
     quadrature,
     rounding_of,
 )
-from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces, blocks
+from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces
 from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps, weights_of_nearest
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -119,8 +119,7 @@ class MortarIntegrals(FacetIntegrals):
         Args:
             secondary: the secondary side.
             primary: the primary side.
-            selected: (m,) indices of the secondary facets to integrate over; the integrals of all
-                other facets are zero.
+            selected: (m,) the secondary facets to integrate over; all other integrals are zero.
             limit: search distance, beyond which no points are paired [length].
             may_meet: function that tells of (p,) secondary and (p,) primary facets whether both may
                 be paired, (p,).
@@ -129,17 +128,16 @@ class MortarIntegrals(FacetIntegrals):
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
-        self._pieces, self._others = Pieces.from_facets(facets), Pieces.from_facets(partners)
-        self._surface, self._other_surface = SmoothSurface(secondary), SmoothSurface(primary)
+        self._pieces, self._partners = Pieces.from_facets(facets), Pieces.from_facets(partners)
+        self._surface, self._partner_surface = SmoothSurface(secondary), SmoothSurface(primary)
         body = None if order is None else order.body[self._pieces.facet]
-        self._visibility = Visibility(self._pieces, self._others, body)
+        self._visibility = Visibility(self._pieces, self._partners, body)
         degree = 1 + facets.degree
-        self._polynomial = facets.affine and partners.affine and not facets.has_exact_surface
         if not (facets.affine and partners.affine):
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif facets.has_exact_surface:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
-        elif self._surface.turning or self._other_surface.turning:
+        else:
             degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
         degree += facets.axisymmetric  # the radius is linear
         x, w = quadrature("interval" if facets.dim == 1 else "triangle", degree)
@@ -171,29 +169,20 @@ class MortarIntegrals(FacetIntegrals):
         arrays = zip(*self._overlaps, strict=True)
         self.pairs, self.partner, self.opposite = map(np.concatenate, arrays)
         # the integrals outlive what they were computed with
-        del self._overlaps, self._pieces, self._others, self._visibility
-        del self._surface, self._other_surface
+        del self._overlaps, self._pieces, self._partners, self._visibility
+        del self._surface, self._partner_surface
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
-        """Yield blocks of pairs of pieces that may face each other.
+        """Yield blocks of pairs of pieces that face each other and may meet.
 
-        The normals of such a pair are opposed, and the primary piece lies along the normal of the
-        secondary piece. All pairs of a secondary piece are in the same block.
+        All pairs of a secondary piece are in the same block.
 
         Args:
-            mine: (m,) indices of the secondary pieces to pair, ascending.
+            mine: (m,) secondary pieces to pair, ascending.
             limit: (pieces,) search distance of each secondary piece [length].
         """
-        pieces, partners = self._pieces, self._others
-        for block in blocks(len(mine)):
-            own = mine[block]
-            line, partner = partners.on_normals(
-                pieces.centres[own], pieces.normals[own], pieces.radii[own], limit[own]
-            )
-            piece = own[line]
-            opposed = dots(pieces.normals[piece], partners.normals[partner]) < -FACING_COSINE
-            piece, partner = piece[opposed], partner[opposed]
-            meets = self._may_meet(pieces.facet[piece], partners.facet[partner])
+        for piece, partner in self._pieces.facing(mine, self._partners, limit):
+            meets = self._may_meet(self._pieces.facet[piece], self._partners.facet[partner])
             piece, partner = piece[meets], partner[meets]
             # a block ends at the first pair of a piece after each 4 `AT_ONCE` pairs
             number = np.searchsorted(piece, piece) // (4 * AT_ONCE)
@@ -215,23 +204,23 @@ class MortarIntegrals(FacetIntegrals):
         Returns:
             (pieces,) whether these pairs cover a secondary piece fully, whatever the roles are.
         """
-        pieces, surface, partner_surface = self._pieces, self._surface, self._other_surface
+        pieces, surface, partner_surface = self._pieces, self._surface, self._partner_surface
         secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
+        # the overlaps in the planes of the secondary pieces, cut into simplices
         simplices, size, pair = overlaps(
             pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
-            pieces.local_coordinates(mine, self._others.points[partners])[:, :, :dim],
-            centred=not self._polynomial,
+            pieces.local_coordinates(mine, self._partners.points[partners])[:, :, :dim],
         )
         large = size > (self._rounding * self._area)[mine][pair]
         simplices, size, pair = simplices[large], size[large], pair[large]
-        # quadrature points in the planes, (simplices * count, dim), and their weights
+
+        # quadrature points, (simplices * count,), in the planes and on both facets
         count = len(self._weights)
         places = np.einsum("qc,mcd->mqd", self._barycentric, simplices).reshape(-1, dim)
         weight = (size[:, None] * self._weights).ravel()
-        facet, partner = pieces.facet[mine], self._others.facet[partners]
+        facet, partner = pieces.facet[mine], self._partners.facet[partners]
         point_pair = np.repeat(pair, count)
         own_facet, their_facet, piece = facet[point_pair], partner[point_pair], mine[point_pair]
-
         own = pieces.local_coordinates(mine, secondary.points[facet])[point_pair]
         theirs = pieces.local_coordinates(mine, primary.points[partner])[point_pair]
         x_own = project(secondary, own[:, :, :dim], places)
@@ -240,6 +229,10 @@ class MortarIntegrals(FacetIntegrals):
         values, partner_values = secondary.basis(x_own), primary.basis(x_their)
         start, end = dots(values, own[:, :, dim]), dots(partner_values, theirs[:, :, dim])
         apart = end - start
+        to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
+        to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
+
+        # weights of points that are seen in either role: not hidden, near, and turned to each other
         hidden = self._visibility.hidden(
             mine[pair],
             simplices.mean(axis=1),
@@ -249,10 +242,6 @@ class MortarIntegrals(FacetIntegrals):
         )
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
         weight = weights_of_nearest(mine, pair, simplices, size, places, apart, weight, self._area)
-        to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
-        to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
-        turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
-        normals = contact_normals(outward, their_outward, *turns)
         weight = weight * surface.may_touch(
             own_facet, outward, partner_surface, their_facet, their_outward
         )
@@ -260,7 +249,9 @@ class MortarIntegrals(FacetIntegrals):
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
         weight = weight * (np.abs(apart) - nearest[piece] <= FACET_LENGTH * pieces.radii[piece])
-        seen = weight  # in either role; from here on `weight` is that of pairs in this role
+
+        # weights of pairs in this role, and in terms of area elements
+        seen = weight
         opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
         if self._order is not None:
             is_primary = ~self._order.is_secondary(facet, partner)[point_pair]
@@ -272,19 +263,12 @@ class MortarIntegrals(FacetIntegrals):
             in_plane = np.abs(dots(vectors, pieces.normals[piece]))
             surface_weight = surface_weight * np.linalg.norm(vectors, axis=1) / in_plane
         if secondary.axisymmetric:
-            surface_weight = (
-                surface_weight * 2.0 * np.pi * dots(values, secondary.points[own_facet, :, 0])
-            )
+            radii = dots(values, secondary.points[own_facet, :, 0])
+            surface_weight = surface_weight * 2.0 * np.pi * radii
 
-        kept, simplex_starts = np.unique(pair, return_index=True)
-
-        def products(right: Array) -> Array:
-            """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
-            left = (surface_weight[:, None] * hats).reshape(-1, count, hats.shape[1])
-            blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
-            return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
-
-        # at the rim of one side fitted surfaces differ, though the facets coincide
+        # normals and distances; at the rim of one side fitted surfaces differ where facets coincide
+        turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
+        normals = contact_normals(outward, their_outward, *turns)
         coincide = secondary.coincide(facet, primary, partner)[point_pair]
         if not secondary.has_exact_surface:
             to_partner[coincide], to_surface[coincide] = 0.0, 0.0
@@ -295,18 +279,28 @@ class MortarIntegrals(FacetIntegrals):
         # accuracy for closely fitting bodies, for which heights are much larger than the distance
         between = apart[:, None] * pieces.normals[piece]
         distance = dots(between + to_partner - to_surface, normals)
-        # at the corners of the simplices: of the linear function that fits the distances best
+        # least distance of each simplex: of the linear function that fits the distances best
         least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
+
+        # sums over the simplices of each pair that counts, and over the pairs of facets and pieces
+        kept, simplex_starts = np.unique(pair, return_index=True)
+
+        def products(right: Array) -> Array:
+            """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
+            left = (surface_weight[:, None] * hats).reshape(-1, count, hats.shape[1])
+            blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
+            return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
+
         piece_of_pair, seen_of_pair = mine[kept], np.add.reduceat(seen, simplex_starts * count)
         seen_of_piece = np.bincount(piece_of_pair, seen_of_pair, minlength=len(limit))
         covered: Mask = seen_of_piece >= (1.0 - MISMATCH) * self._area
         add = covered[piece_of_pair] if covered_only else np.ones(len(kept), dtype=np.bool_)
+        added_to = facet[kept][add]
         means = np.column_stack([distance, secondary_sagitta, sagitta, normals])
         for total, integrand in ((self.hats, hats), (self.values, values), (self.means, means)):
-            np.add.at(total, facet[kept][add], products(integrand)[add])
-        least = np.minimum.reduceat(least, simplex_starts)
-        np.minimum.at(self.least, facet[kept][add], least[add])
+            np.add.at(total, added_to, products(integrand)[add])
+        np.minimum.at(self.least, added_to, np.minimum.reduceat(least, simplex_starts)[add])
         sizes = np.add.reduceat(weight, simplex_starts * count)
         np.add.at(self._covered, piece_of_pair[add], sizes[add])
         both: Indices = np.column_stack([facet, partner])[kept]
@@ -328,13 +322,6 @@ def obstacle_integrals(
     degree 2 can take the shape of the obstacle. Where the mesh does not resolve the obstacle, it is
     also seen between the nodes (`_see_between_nodes`). Only facets that face the obstacle
     contribute. A warning tells how far an undeformed body is entered unseen, unless it is `moved`.
-
-    Args:
-        comm: the communicator.
-        pair: the contact pair, for the warning.
-        obstacle: the obstacle.
-        nodes: the nodes of the surface.
-        moved: whether the surface is displaced.
 
     Returns:
         The nodes, with the facets of all patches at one entry of each node, since the patches share
@@ -406,7 +393,7 @@ def _warn_of_unseen(
         comm: the communicator.
         pair: the contact pair.
         depth: (n,) depth by which the obstacle enters each facet [length].
-        seen: (n,) the part of the depth that nodes, or means between nodes, see [length].
+        seen: (n,) the part of it that nodes, or means between nodes, see [length].
         turns: (n,) angle by which the obstacle's normal turns over each facet [rad].
         extent: largest coordinate of the facets [length].
     """
@@ -428,7 +415,7 @@ def _warn_of_unseen(
 
 
 def _at(obstacle: RigidObstacle, points: Array) -> tuple[Array, Array]:
-    """Return the distances (n, q) and normals (n, q, 3) of an obstacle at points (n, q, 3)."""
+    """Return distances (n, q) and normals (n, q, 3) of an obstacle at points (n, q, 3)."""
     distance, normals = obstacle.at(points.reshape(-1, 3))
     return distance.reshape(points.shape[:2]), normals.reshape(points.shape)
 
@@ -451,13 +438,8 @@ def _see_between_nodes(
     bodies are too stiff, and the mean over whole facets is positive though the obstacle enters
     them. Not collective.
 
-    Args:
-        obstacle: the obstacle.
-        nodes: the nodes of the surface.
-        surface: the smooth surface.
-        turns: (n,) angle by which the obstacle's normal turns over each facet [rad]; zero for
-            facets that do not face it.
-        integrals: the integrals for the values at nodes, which are changed in place.
+    The integrals for the values at nodes are changed in place; `turns` (n,) is the angle by which
+    the obstacle's normal turns over each facet [rad], zero for facets that do not face it.
 
     Returns:
         (m,) the facets for which the integrals have changed. Their hat functions count as dual.

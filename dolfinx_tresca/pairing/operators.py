@@ -155,10 +155,10 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
 
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
-    """Return rows (n, dofs) of the jump along directions (n, d), from the rows of a scalar jump.
+    """Return rows (n, dofs) of the jump along unit vectors (n, d).
 
     Args:
-        jump: (nodes, nodes of V) sparse matrix.
+        jump: (nodes, nodes of V) sparse matrix of the scalar jump.
         rows: (n,) the row of the scalar jump for each direction.
         directions: (n, d) unit vectors.
     """

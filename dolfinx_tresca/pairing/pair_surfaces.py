@@ -16,19 +16,18 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import (
     errors_on_all_ranks,
     exchange,
-    gather_rows,
     reduce_array,
     row_of_least,
     warn,
 )
-from dolfinx_tresca.errors import PairingError
+from dolfinx_tresca.errors import PairingError, shown_place
 from dolfinx_tresca.pairing.coupling import corners_that_carry, couple
 from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owns, with_neighbours
+from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owners_flags, owns, with_neighbours
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
-from dolfinx_tresca.pairing.visibility import SelfContact, opposite_bodies, redundant_nodes
+from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
@@ -43,9 +42,7 @@ def pair_surfaces(
 def pair_group(
     V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs, for the present positions of the mesh's nodes.
-
-    Collective.
+    """Compute N, T and the gap of pairs, for the present positions of the mesh's nodes. Collective.
 
     Args:
         V: vector space of degree 1 or 2.
@@ -66,12 +63,8 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
     """Compute N, T and the gap of pairs in the configuration displaced by u. Collective.
 
     The gap in the result is the distance between the displaced surfaces. The gap for displacements
-    from the undeformed surfaces is this gap plus N u, with the N in the result.
-
-    Args:
-        V: the space of the displacement.
-        undeformed: the undeformed surfaces of a group of pairs.
-        u: (nodes, dim of space) displacement of this rank's nodes [length], from `straightened`.
+    from the undeformed surfaces is this gap plus N u, with the N in the result. `u` (nodes, dim of
+    space) is the displacement of this rank's nodes [length], from `straightened`.
 
     Raises:
         InputError: the signed distance of the obstacle is wrong.
@@ -83,15 +76,11 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
 def _pair(
     V: Any, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs from the facets of their sides. Collective.
-
-    Raises:
-        PairingError: see `pair_group`.
-    """
+    """Compute N, T and the gap of pairs from their facets, see `pair_group`. Collective."""
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
     owned = sides[pair.secondary]
-    primary, bodies = None, None
+    primary = None
     if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
         nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, moved)
@@ -100,11 +89,11 @@ def _pair(
         partners = owned if pair.touches_itself else sides[pair.primary]
         around, across = halos(V, owned, partners, pair.search_limit)
         if pair.touches_itself:
-            nodes = other_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
+            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
         else:
             nodes = _surface_nodes(V, pair, "secondary", owned, around, moved)
-            other_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
-        facets, primary = nodes.facets, other_nodes.facets
+            primary_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
+        facets, primary = nodes.facets, primary_nodes.facets
 
         def may_meet(facet: Indices, partner: Indices) -> Mask:
             tags = facets.tag_index[facet], primary.tag_index[partner]
@@ -114,30 +103,28 @@ def _pair(
             selected, limit = at_own_nodes(V, facets), pair.search_limit
             order = SelfContact(facets) if pair.touches_itself else None
             rule = may_meet if order is None else order.may_meet
-            overlap = MortarIntegrals(nodes, other_nodes, selected, limit, rule, order)
+            overlap = MortarIntegrals(nodes, primary_nodes, selected, limit, rule, order)
             integrals, shared = overlap, np.isin(nodes.numbers, primary.nodes)
             if order is not None:
                 shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
-                bodies = opposite_bodies(nodes, overlap.pairs, order)
-        if pair.touches_itself:
-            decided = nodes.numbers[shared & owns(V, nodes.numbers)]
-            shared = np.isin(nodes.numbers, gather_rows(comm, decided))
+        if order is not None:
+            shared = owners_flags(V, nodes, shared)
         carries = corners_that_carry(V, nodes, integrals, shared)
-    together = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved, bodies)
+    group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved)
     if pair.pairing == "nodes" and primary is not None and not moved:
-        _check_meshes_match(V, pair, together, nodes)
+        _check_meshes_match(V, pair, group_operators, nodes)
     if not moved and len(group.pairs) > 1:
-        areas = reduce_array(comm, together.shares.sum(axis=0))
+        areas = reduce_array(comm, group_operators.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
             if area == 0.0 and single.sliding == "small":
                 raise PairingError(
                     f"the surfaces of contact pair {single} do not face each other. Check the tags"
                     f"{'' if single.search_distance is None else ' and the search distance'}."
                 )
-        group.say_laws(comm, together.shares)
-    owner = group.owners(together.shares)
+        group.say_laws(comm, group_operators.shares)
+    owner = group.owners(group_operators.shares)
     return [
-        replace(together.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
+        replace(group_operators.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
         for k, single in enumerate(group.pairs)
     ]
 
@@ -164,8 +151,8 @@ def _check_meshes_match(
             f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {number} '
             f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
             f"({pair.side('primary')}) away from its nodes, most of all at "
-            f"{tuple(round(float(x), 6) for x in place)}. Mesh both surfaces alike, or leave out "
-            "the argument: mortar pairing needs no matching meshes."
+            f"{shown_place(place)}. Mesh both surfaces alike, or leave out the argument: mortar "
+            "pairing needs no matching meshes."
         )
 
 
@@ -176,14 +163,13 @@ def _surface_nodes(
 
     The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
     there. Coincident nodes have the same coordinates and are sent to the same rank, which counts
-    them.
-    Nodes that also belong to facets with other tags, such as coincident corners of adjacent bricks,
-    and surfaces that touch themselves, are not checked.
+    them. Nodes that also belong to facets with other tags, such as coincident corners of adjacent
+    bricks, and surfaces that touch themselves, are not checked.
 
     Args:
         V: the space of the displacement.
         pair: the contact pair.
-        side: "secondary" or "primary".
+        side: the name of the side.
         owned: the facets of the side that this rank owns.
         halo: these facets, and those of other ranks that the pairing depends on.
         moved: whether the surface is displaced.
@@ -199,8 +185,8 @@ def _surface_nodes(
         if has_no_normal.any():
             raise PairingError(
                 f"the surface {pair.side(side)} ({side} side) has no normal at "
-                f"{nodes.points[has_no_normal][0]}: the normals of the facets around that node "
-                "cancel. Repair the mesh there."
+                f"{shown_place(nodes.points[has_no_normal][0])}: the normals of the facets around "
+                "that node cancel. Repair the mesh there."
             )
     if moved or pair.touches_itself:
         return nodes

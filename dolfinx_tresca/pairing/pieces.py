@@ -19,8 +19,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross, dots
-from dolfinx_tresca._base.parallel import exchange
-from dolfinx_tresca.pairing.facets import FACET_ARRAYS, FACING_COSINE, Facets, frames_along
+from dolfinx_tresca._base.parallel import exchange, gather_rows
+from dolfinx_tresca.pairing.facets import (
+    FACET_ARRAYS,
+    FACING_COSINE,
+    Facets,
+    SurfaceNodes,
+    frames_along,
+)
 
 #: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
 #: times as many, and of points and what may hide them 50 times as many.
@@ -38,10 +44,6 @@ PARALLEL = 1e-30
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
     """Concatenate the integer ranges starts[i], ..., starts[i] + numbers[i] - 1.
-
-    Args:
-        starts: (n,) first members of the ranges.
-        numbers: (n,) lengths of the ranges.
 
     Returns:
         The index i (m,) of the range of each member, and the members (m,).
@@ -67,7 +69,7 @@ def blocks(count: int) -> Iterator[slice]:
 def line_intervals(
     box: Array, origins: Array, directions: Array, reach: Array
 ) -> tuple[Array, Array]:
-    """Intersect lines with a box (2, 3), widened on all sides.
+    """Intersect lines with a box (2, 3), widened on all sides by the reach of each line.
 
     Args:
         box: the least and the greatest coordinates [length].
@@ -76,8 +78,8 @@ def line_intervals(
         reach: (n,) distance by which the box is widened for each line [length].
 
     Returns:
-        The parameters (n,) at which the lines enter the box, and the parameters (n,) at which they
-        leave it [length]. If a line misses the box, its first parameter is the greater one.
+        The parameters (n,) at which the lines enter the box and leave it [length]; the first one is
+        the greater one if a line misses the box.
     """
     # a line that is parallel to a side of the box meets its plane far away
     slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
@@ -169,12 +171,10 @@ class Pieces:
             centres: (n, 3) centres of the moving balls [length].
             normals: (n, 3) unit normals of the moving balls.
             radii: (n,) radii of the moving balls [length].
-            limit: (n,) search distance in both directions [length]; pieces slightly beyond it may
-                be found, too.
+            limit: (n,) search distance both ways [length]; pieces slightly beyond may be met, too.
 
         Returns:
-            The pairs as indices (m,) of the moving balls, ascending, and indices (m,) of the pieces
-            that they meet.
+            The moving ball (m,) of each pair, ascending, and the piece (m,) that it meets.
         """
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
@@ -205,6 +205,23 @@ class Pieces:
         meet = across <= (radii[moving] + self.radii[met]) * (1.0 + 1e-9)
         return moving[meet], met[meet]
 
+    def facing(
+        self, chosen: Indices, partners: Pieces, limit: Array
+    ) -> Iterator[tuple[Indices, Indices]]:
+        """Yield pairs of chosen pieces, ascending, and partners along their normals, in blocks.
+
+        The normals of both are opposed. All pairs of a piece are in one block; `limit` (pieces,) is
+        the search distance of each piece [length].
+        """
+        for block in blocks(len(chosen)):
+            own = chosen[block]
+            line, partner = partners.on_normals(
+                self.centres[own], self.normals[own], self.radii[own], limit[own]
+            )
+            piece = own[line]
+            opposed = dots(self.normals[piece], partners.normals[partner]) < -FACING_COSINE
+            yield piece[opposed], partner[opposed]
+
     def local_coordinates(self, piece: Indices, points: Array) -> Array:
         """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
 
@@ -214,10 +231,7 @@ class Pieces:
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
 
     def near(self, points: Array, reach: Array) -> tuple[Indices, Indices]:
-        """Return the pairs of points (n, 3) and pieces that are nearer than reach (n,) [length].
-
-        The pairs are indices (m,) of the points, ascending, and of the pieces (m,).
-        """
+        """Return pairs of points (n, 3), ascending, and pieces nearer than reach (n,) [length]."""
         within = reach + self.radii.max(initial=0.0)
         point, piece = flattened(cKDTree(self.centres).query_ball_point(points, within))
         is_near = self.distances(piece, points[point]) < reach[point]
@@ -251,18 +265,19 @@ def owns(V: Any, nodes: GlobalNumbers) -> Mask:
     return np.asarray((nodes >= low) & (nodes < high))
 
 
+def owners_flags(V: Any, nodes: SurfaceNodes, flags: Mask) -> Mask:
+    """Return for each node its owner's flag (n,); the owner has all facets at it. Collective."""
+    flagged = nodes.numbers[flags & owns(V, nodes.numbers)]
+    return np.isin(nodes.numbers, gather_rows(V.mesh.comm, flagged))
+
+
 def at_own_nodes(V: Any, facets: Facets) -> Indices:
     """Return the indices of the facets with a corner that this rank owns. Not collective."""
     return np.flatnonzero(owns(V, facets.nodes[:, : facets.corners]).any(axis=1))
 
 
 def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
-    """Return all facets with a corner that this rank owns. Collective.
-
-    Args:
-        V: the space of the displacement.
-        owned: the facets that this rank owns.
-    """
+    """Return all facets with a corner that this rank owns, given its own facets. Collective."""
     ends = V.mesh.comm.allgather(V.dofmap.index_map.local_range[1])
     ranks = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
     facet = np.repeat(np.arange(len(ranks)), owned.corners)
@@ -280,7 +295,7 @@ def near_lines(
 ) -> Facets:
     """Return this rank's facets and those of all ranks that are close to lines. Collective.
 
-    See `Balls.on_normals`. Lines without length are points.
+    See `Pieces.on_normals`. Lines without length are points.
 
     Args:
         comm: the communicator.
@@ -288,8 +303,7 @@ def near_lines(
         points: (n, 3) a point of each line [length].
         directions: (n, 3) unit vectors along the lines.
         reach: (n,) distance within which facets are close [length].
-        length: length of the lines in both directions from their points [length]; a number, or an
-            array (n,).
+        length: length of the lines both ways from their points [length], a number or (n,).
     """
     if comm.size == 1:
         return owned
@@ -318,15 +332,14 @@ def near_lines(
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
-    """Send facets (n,) of those that a rank owns to ranks (n,). Collective.
+    """Send facets (n,) of this rank to ranks (n,). Collective.
 
-    Returns:
-        The facets that this rank owns, and those that were sent to it.
+    The result has the facets that this rank owns, and those that were sent to it.
     """
     arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
     count = len(owned.points)
     kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
-    records = np.empty(count, dtype=kinds)
+    records = np.empty(count, dtype=kinds)  # one for each facet: each rank gets a single message
     for name, array in arrays.items():
         records[name] = array
     kept = np.arange(count) * comm.size + comm.rank
@@ -351,13 +364,8 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
 
     These are the facets of both sides that lie along the normals of the rank's facets; if facets of
     the rank penetrate the primary side, the primary facets near them; and two rings of facets
-    around paired facets, see `with_neighbours`.
-
-    Args:
-        V: the space of the displacement.
-        secondary: facets of the secondary side that this rank owns.
-        primary: facets of the primary side that this rank owns.
-        limit: search distance, beyond which no points are paired [length].
+    around paired facets, see `with_neighbours`. The facets that this rank owns are given; `limit`
+    is the search distance, beyond which no points are paired [length].
     """
     comm = V.mesh.comm
     if comm.size == 1:
@@ -370,13 +378,7 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
     partners = Pieces.from_facets(across)
     depth: Array = np.zeros(len(far))
-    for block in blocks(len(far)):
-        own, partner = partners.on_normals(
-            mine.centres[block], mine.normals[block], mine.radii[block], far[block]
-        )
-        own += block.start
-        opposed = dots(mine.normals[own], partners.normals[partner]) < -FACING_COSINE
-        own, partner = own[opposed], partner[opposed]
+    for own, partner in mine.facing(np.arange(len(far)), partners, far):
         offsets = mine.centres[own] - partners.centres[partner]
         np.maximum.at(depth, own, dots(offsets, mine.normals[own]) + partners.radii[partner])
     near = 2.0 * mine.radii + CREDIBLE_PART * np.minimum(depth + mine.radii, far)

@@ -127,8 +127,7 @@ class PairGroup:
     def owners(self, shares: Array) -> Indices:
         """Return for each node (n,) the index of the pair that has its multiplier.
 
-        Args:
-            shares: (n, pairs) parts of the nodes' areas that belong to each pair.
+        `shares` (n, pairs) are the parts of the nodes' areas that belong to each pair.
         """
         belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         strongest = np.where(belongs, self.rank, -1).max(axis=1, keepdims=True)
@@ -167,11 +166,8 @@ def _strength(law: Friction) -> tuple[int, float, float]:
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
     sizes = []
     for bound in (law.terms.coefficient, law.terms.constant):
-        values = [
-            real(entry.value.item() if isinstance(entry, fem.Constant) else entry)
-            for entry in (bound if isinstance(bound, tuple) else (bound,))
-        ]
-        sizes.append(max(value or 0.0 for value in values))
+        entries = bound if isinstance(bound, tuple) else (bound,)
+        sizes.append(max(real(getattr(entry, "value", entry)) or 0.0 for entry in entries))
     return 1, sizes[0], sizes[1]
 
 
@@ -203,12 +199,8 @@ def _shared(
 ) -> Mask:
     """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
-    Args:
-        V: the space of the displacement.
-        pairs: the pairs.
-        compared: (pairs,) whether a pair is compared.
-        side: name of the side, which is deformable.
-        label: (nodes of V,) the body of each node on this rank; None: nodes are compared.
+    Only the pairs in `compared` (pairs,), whose side is deformable, are compared: by the bodies of
+    their nodes if these have a label (nodes of V,), else by the nodes.
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
@@ -241,20 +233,7 @@ class Undeformed:
     def from_mesh(
         cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
     ) -> Undeformed:
-        """Extract the surfaces from the mesh. Collective.
-
-        Args:
-            V: vector space of degree 1 or 2.
-            prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of
-                freedom.
-            group: the pairs.
-            axisymmetric: whether integrals are over rings about the axis x = 0.
-
-        Raises:
-            InputError: tags or geometry are wrong.
-            PairingError: facets are inside a body, or have no area.
-            MeshError: Gmsh cannot read the geometry file any more.
-        """
+        """Extract the surfaces; for arguments and errors see `pair_group`. Collective."""
         pair = group.surfaces
         sides: dict[int, Facets] = {}
         for name in _deformable_sides(pair):
@@ -269,9 +248,7 @@ class Undeformed:
     def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
         """Return tag -> displaced facets of each side that this rank owns. Collective.
 
-        Args:
-            V: the space of the displacement.
-            u: (nodes, dim of space) displacement of this rank's nodes [length].
+        `u` (nodes, dim of space) is the displacement of this rank's nodes [length].
 
         Raises:
             PairingError: displaced facets have no area.
@@ -292,13 +269,9 @@ def _deformable_sides(pair: ContactPair) -> tuple[SideName, ...]:
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return the facets of a side that this rank owns. Collective.
+    """Return the facets of a deformable side that this rank owns. Collective.
 
-    Args:
-        V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
-        pair: the pair of surfaces.
-        side: the side, which is deformable.
+    `prescribed` (owned dofs,) tells which degrees of freedom a Dirichlet condition prescribes.
 
     Raises:
         InputError: no facet has one of the tags.
@@ -365,9 +338,7 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Check the areas of a side's facets; return the facets with `bent` set for all ranks.
-
-    Before the call it may describe the facets of this rank only. Collective.
+    """Check the areas of a side's facets; return them with `bent` set for all ranks. Collective.
 
     Raises:
         PairingError: a facet has no area.
@@ -389,17 +360,12 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
 
 
 def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
-    """Return the sides of a pair with the `Facets.offsets` of their facets. Collective.
+    """Return tag -> facets of a pair, with their `Facets.offsets`. Collective.
 
     The projections of `pair.geometry`, or else of the geometry that the pair's tags know, are
     evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. Without projections the sides are
     returned unchanged. If a geometry that the user did not give fails, a warning is logged, and all
     sides are returned unchanged.
-
-    Args:
-        V: the space of the displacement.
-        pair: the contact pair.
-        sides: tag -> facets of a side that this rank owns, undeformed.
 
     Raises:
         InputError: a projection fails, or facets are not on their surface.
@@ -442,8 +408,7 @@ def _offsets_of_tags(
 ) -> Array:
     """Return the `Facets.offsets` of facets to the known surfaces of their tags. Not collective.
 
-    `limit` is the largest distance of a corner from its surface, relative to the size of the facet:
-    `FAR_CORNER`, or `ON_SURFACE` if the user did not ask for this geometry.
+    `limit` is the largest distance of a corner from its surface, relative to the size of the facet.
 
     Raises:
         InputError: a projection fails, or facets are not on their surface.
@@ -502,14 +467,9 @@ def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -
 def straightened(V: Any, u: Array) -> Array:
     """Return u without the part that would bend edges beyond the degree of the mesh's geometry.
 
-    Not collective.
-
     If V has a higher degree than the geometry, each node that is not at a vertex is moved by the
-    mean displacement of the vertices of its edge, face or cell; else the result is u.
-
-    Args:
-        V: the space of the displacement, of degree 1 or 2.
-        u: (nodes, dim of space) displacement of this rank's nodes [length].
+    mean displacement of the vertices of its edge, face or cell; else the result is u: (nodes, dim
+    of space) the displacement of this rank's nodes [length]. Not collective.
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):

@@ -18,7 +18,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, in_space, unit
+from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.facets import FACING_COSINE, MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
@@ -32,13 +32,10 @@ SHALLOW_DEPTH = 0.1
 #: 1, slight differences in size would decide, and between equal bricks rounding.
 FINER = 2.0**-0.5
 
-#: Number of candidates for the direction that orders the facets of a body.
-DIRECTIONS = 12
-
-#: A direction suits a facet of its body fully if the sine and the cosine of the angle between the
-#: direction and the facet's normal are at least this. On a slit parallel to the direction rounding
-#: would decide the roles facet by facet, and most nodes of the slit would lose their multipliers.
-LEAST_COMPONENT = 0.3
+#: Direction that orders the facets of one body: oblique, so that it is parallel to no face of a
+#: usual slit. On a slit parallel to it rounding would decide the roles facet by facet, and most
+#: nodes of the slit would lose their multipliers.
+ORDER = np.array([0.49, 0.63, 0.60])
 
 #: Two facets of one body that are behind each other count as the two faces of one wall, whose
 #: material is between them, if their distance is at least this part of their distance in the
@@ -72,15 +69,8 @@ class Visibility:
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
-        """Keep the pieces of both sides.
-
-        Args:
-            pieces: pieces of the secondary side.
-            partners: pieces of the primary side.
-            body: (n,) the body of each piece of a surface that touches itself, where `partners` are
-                the same pieces; None for two surfaces.
-        """
-        self._pieces, self._others, self._body = pieces, partners, body
+        """Keep the pieces of both sides; `body` of each piece, if the surface touches itself."""
+        self._pieces, self._partners, self._body = pieces, partners, body
 
     def hidden(
         self, piece: Indices, places: Array, start: Array, end: Array, partner: Indices
@@ -89,8 +79,7 @@ class Visibility:
 
         Args:
             piece: (n,) the secondary piece of each point, ascending.
-            places: (n, d) position of each point in the plane of the piece, relative to the centre
-                of the piece [length].
+            places: (n, d) point in the plane of the piece, relative to its centre [length].
             start: (n,) height of the secondary side over the plane, along the normal [length].
             end: (n,) height of the primary side over the plane [length].
             partner: (n,) the primary piece of each point.
@@ -135,11 +124,11 @@ class Visibility:
             reach: (n,) largest distance from the plane at which a crossing matters [length].
 
         Yields:
-            The normals (m,) that cross a facet, as indices of `piece`; the facets (m,) among the
-            pieces of their side; the heights (m,) of the crossings over the planes [length]; and
-            whether the normal of the facet is on the same side of the plane as the piece's (m,).
+            The normals (m,) that cross a facet; the facets (m,), as pieces of their side; the
+            heights (m,) of the crossings over the planes [length]; and whether both normals point
+            to the same side of the plane (m,).
         """
-        pieces, side = self._pieces, self._pieces if own else self._others
+        pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
         line, facet = side.on_normals(
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
@@ -163,18 +152,13 @@ class Visibility:
             yield point, facet[row], height, normals[row, -1] > 0.0
 
     def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
-        """Return whether facets (n,) of one side, near the normal of a piece, may hide its points.
+        """Return whether facets (n,) of one side may hide points of the pieces (n,) below them.
 
         Segments end at primary facets whose normals are opposed, so these hide nothing. Of the
         secondary side the piece itself, and facets in its plane, hide nothing; nor do facets with a
         common node and a similar normal, which a segment crosses at its own start.
-
-        Args:
-            own: whether the facets are on the secondary side.
-            piece: (n,) the secondary piece.
-            facet: (n,) the facet among the pieces of its side.
         """
-        pieces, side = self._pieces, self._pieces if own else self._others
+        pieces, side = self._pieces, self._pieces if own else self._partners
         normal, their_normal = pieces.normals[piece], side.normals[facet]
         cosine = dots(normal, their_normal)
         result: Mask = cosine > NEGLIGIBLE
@@ -195,8 +179,7 @@ class Visibility:
         """Return whether points (n,) penetrate far more than their distance from the primary side.
 
         This is so if the distance is less than `CREDIBLE_PART` times the penetration. On a surface
-        that touches itself only other bodies count as primary side. The arguments are those of
-        `hidden`.
+        that touches itself only other bodies count. For the arguments see `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -206,7 +189,7 @@ class Visibility:
         points = self._pieces.centres[piece[deep]]
         points = points + np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
         limit = CREDIBLE_PART * (start - end)[deep]
-        point, partner = self._others.near(points, limit)
+        point, partner = self._partners.near(points, limit)
         if self._body is not None:
             elsewhere = self._body[partner] != self._body[piece[deep]][point]
             point, partner = point[elsewhere], partner[elsewhere]
@@ -221,21 +204,21 @@ def _around_origin(corners: Array) -> Mask:
         slack = MISMATCH * (high - low)
         return np.asarray((low <= slack) & (high >= -slack))
     following = np.roll(corners, -1, axis=1)
-    turns = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
+    turns = _cross(corners, following)
     slack = MISMATCH * np.abs(turns).sum(axis=1, keepdims=True)
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 
 
-def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Array, Array, Indices]:
+def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
+    Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
+    the order of the corners.
+
     Args:
-        own: (n, a, d) corners of the first segments (d = 1, a = 2) or convex polygons (d = 2),
-            clockwise or counter-clockwise.
-        partners: (n, b, d) corners of the second segments or polygons, in either order.
-        centred: whether polygons are cut into triangles round their centroid, instead of a fan of
-            triangles from one of their corners. This gives more triangles, but they do not depend
-            on rounding or on the order of the corners.
+        own: (n, a, d) corners of segments (d = 1, a = 2) or convex polygons (d = 2), in either
+            order.
+        partners: (n, b, d) corners of the partners of the same kind.
 
     Returns:
         The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
@@ -254,37 +237,26 @@ def overlaps(own: Array, partners: Array, *, centred: bool = False) -> tuple[Arr
     sides = np.roll(windows, -1, axis=1) - windows
     for corner in range(windows.shape[1]):
         polygons = _clipped(polygons, windows[:, corner], sides[:, corner])
-    fans, areas = _triangle_fans(polygons[:, 0], polygons)
-    if centred:
-        total = areas.sum(axis=1)[:, None]
-        moment = np.einsum("nt,ntci->ni", areas, fans) / 3.0
-        # the centroid of a polygon without area is undefined: take its first corner
-        centroid = np.divide(moment, total, out=polygons[:, 0].copy(), where=total > 0.0)
-        fans, areas = _triangle_fans(centroid, polygons)
+    following = np.roll(polygons, -1, axis=1)
+    start, end = polygons - polygons[:, :1], following - polygons[:, :1]
+    turns = np.abs(_cross(start, end))  # twice the areas of triangles with the first corner
+    moment, total = np.einsum("nc,nci->ni", turns, start + end), 3.0 * turns.sum(axis=1)[:, None]
+    # the centroid of a polygon without area is undefined: take its first corner
+    offset = np.divide(moment, total, out=np.zeros_like(moment), where=total > 0.0)
+    centroid = np.broadcast_to((polygons[:, 0] + offset)[:, None], polygons.shape)
+    fans = np.stack([centroid, polygons, following], axis=2)
+    areas = 0.5 * np.abs(_cross(polygons - centroid, following - centroid))
     pair, place = np.nonzero(areas > 0.0)
     return fans[pair, place], areas[pair, place], near[pair]
-
-
-def _triangle_fans(tip: Array, polygons: Array) -> tuple[Array, Array]:
-    """Return triangles (n, c, 3, 2) between `tip` (n, 2) and sides of polygons, with areas (n, c).
-
-    Args:
-        tip: the corner that all triangles of a polygon have in common.
-        polygons: (n, c, 2) corners of the polygons.
-    """
-    following = np.roll(polygons, -1, axis=1)
-    fans = np.stack([np.broadcast_to(tip[:, None], polygons.shape), polygons, following], axis=2)
-    return fans, 0.5 * np.abs(_cross(polygons - tip[:, None], following - tip[:, None]))
 
 
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     """Return the part (n, c, 2) of each convex polygon on the left of its line.
 
-    The line of each polygon goes through a point `start` (n, 2) in the direction `along` (n, 2).
-    The result has the largest number c of corners (Sutherland and Hodgman 1974): polygons with
-    fewer corners repeat their last corner, and all corners of an empty polygon are equal. If
-    corners coincide up to rounding, a polygon may cross its line more than twice; all crossings are
-    kept.
+    The line goes through `start` (n, 2) in the direction `along` (n, 2). The result has the largest
+    number c of corners (Sutherland and Hodgman 1974): polygons with fewer corners repeat their last
+    one, and all corners of an empty polygon are equal. If corners coincide up to rounding, a
+    polygon may cross its line more than twice; all crossings are kept.
     """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -321,7 +293,7 @@ def weights_of_nearest(
     """Set the weights of quadrature points to zero where a nearer simplex covers the point.
 
     The overlap of each pair of pieces is cut into simplices, each with the same number of
-    quadrature points. Where simplices of two pairs overlap, the simplex with the smaller mean |gap|
+    quadrature points. Where simplices of two pairs overlap, that with the smaller mean |gap|
     counts.
 
     Args:
@@ -333,9 +305,6 @@ def weights_of_nearest(
         gap: (points,) gap along the normal [length], positive if open.
         weight: (points,) quadrature weights, 0 for points that are already excluded.
         piece_area: (pieces,) sizes of all secondary pieces [length^d].
-
-    Returns:
-        The new weights (points,).
     """
     if len(pair) == 0:
         return weight
@@ -376,7 +345,6 @@ class SelfContact:
         centre: (n, 3) centre of the facet in the undeformed mesh [length].
         normal: (n, 3) outward unit normal in the undeformed mesh.
         radius: (n,) radius of the facet in the undeformed mesh [length].
-        direction: (n, 3) direction that orders the facets of the facet's body.
         corners: (n, corners) global numbers of the corners.
         place: (n, 3) centre in the present configuration [length].
         present_normal: (n, 3) outward unit normal in the present configuration.
@@ -384,8 +352,8 @@ class SelfContact:
 
     def __init__(self, facets: Facets) -> None:
         """Take the data from the present corners of facets and their `origins`. Not collective."""
-        columns = np.split(facets.origins, [1, 2, 5, 8, 9], axis=1)
-        body, size, self.centre, self.normal, radius, self.direction = columns
+        columns = np.split(facets.origins, [1, 2, 5, 8], axis=1)
+        body, size, self.centre, self.normal, radius = columns
         self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
         self.corners = facets.nodes[:, : facets.corners]
         self.place = facets.points[:, : facets.corners].mean(axis=1)
@@ -398,48 +366,47 @@ class SelfContact:
     def may_meet(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
-        Facets of one body may not meet if they are neighbours, or if they are the two faces of a
-        wall. Neighbours share a corner and do not face each other in the undeformed mesh; the two
-        lips of a crack also share corners at its tip, but face each other. Two facets are the faces
-        of a wall if each is behind the other, deeper than facets of curved surfaces penetrate each
-        other (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than
-        touching lips (`NEGLIGIBLE`). This must be so both in the undeformed mesh and in the
-        present configuration, and the present depth must exceed `WALL_PART` of the undeformed
-        depth.
+        Facets of one body may not meet if they are neighbours, or the two faces of a wall.
+        Neighbours share a corner and do not face each other in the undeformed mesh; the two lips of
+        a crack also share corners at its tip, but face each other. Two facets are the faces of a
+        wall if each is behind the other, deeper than facets of curved surfaces penetrate each other
+        (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than touching
+        lips (`NEGLIGIBLE`). This must be so both in the undeformed mesh and in the present
+        configuration, and the present depth must exceed `WALL_PART` of the undeformed depth.
         """
-        result = np.ones(len(facet), dtype=np.bool_)
-        in_one_body = np.flatnonzero(self.body[facet] == self.body[partner])
-        f, g = facet[in_one_body], partner[in_one_body]
+        f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
         neighbours = common & ~self._facing_before(f, g)
-        shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH)
-        shallow = shallow * (self.radius[f] + self.radius[g])
+        shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH) * (self.radius[f] + self.radius[g])
         undeformed = _least_depth(self.centre, self.normal, f, g)
         present = _least_depth(self.place, self.present_normal, f, g)
         wall = (undeformed > shallow) & (present > np.maximum(shallow, WALL_PART * undeformed))
-        result[in_one_body] = ~(neighbours | wall)
-        return result
+        return np.asarray((self.body[f] != self.body[g]) | ~(neighbours | wall))
 
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
-        Of two bodies, the body with finer facets is secondary; if neither is finer (`FINER`), the
-        body that comes first in `label_bodies` is secondary. Two facets of one body are ordered by
-        the body's `direction`. If they face each other in the undeformed mesh, as in a slit or a
-        ring, the facet whose normal points along the direction is secondary; otherwise, as on a
-        folded sheet, the facet that comes first in this direction is secondary.
+        For facets of two bodies see `is_secondary_body`. If two facets of one body face each other
+        in the undeformed mesh, as in a slit or a ring, the facet whose normal points along `ORDER`
+        is secondary; otherwise, as on a folded sheet, the facet that comes first in this direction.
         """
         f, g = facet, partner
-        finer, coarser = np.sort([self.size[f], self.size[g]], axis=0)
-        similar = finer > FINER * coarser
-        of_bodies = np.where(similar, self.body[f] < self.body[g], self.size[f] < self.size[g])
+        of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
         towards = np.where(
             self._facing_before(f, g)[:, None],
             self.normal[f] - self.normal[g],
             self.centre[g] - self.centre[f],
         )
-        in_body = dots(towards, self.direction[f]) > 0.0
-        return np.where(self.body[f] == self.body[g], in_body, of_bodies)
+        return np.where(self.body[f] == self.body[g], towards @ ORDER > 0.0, of_bodies)
+
+
+def is_secondary_body(body: Any, partner: Any, size: Any, partner_size: Any) -> Mask:
+    """Return whether the first of two bodies (...) is secondary, which depends on facet sizes.
+
+    It is the body with finer facets; if neither is finer (`FINER`), that with the lower number.
+    """
+    finer, coarser = np.sort([size, partner_size], axis=0)
+    return np.asarray(np.where(finer > FINER * coarser, body < partner, size < partner_size))
 
 
 def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices) -> Array:
@@ -451,61 +418,39 @@ def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices)
 def facet_origins(V: Any, facets: Facets) -> Array:
     """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
 
-    The columns are body, size, centre, normal, radius and direction, as in `SelfContact`.
-
-    Args:
-        V: the space of the displacement.
-        facets: the facets that this rank owns.
+    The columns are body, size, centre, normal and radius, as in `SelfContact`.
     """
     comm = V.mesh.comm
-    labels, area = label_bodies(V), facets.areas
+    labels = label_bodies(V)
     body = labels[V.dofmap.index_map.global_to_local(facets.nodes[:, 0])]
     number = int(reduce_array(comm, labels.max(initial=-1), MPI.MAX)) + 1
     count = reduce_array(comm, np.bincount(body, minlength=number))
-    whole = reduce_array(comm, np.bincount(body, area, minlength=number))
-    size = (whole / np.maximum(count, 1)) ** (1.0 / facets.dim)
+    area = reduce_array(comm, np.bincount(body, facets.areas, minlength=number))
+    size = (area / np.maximum(count, 1)) ** (1.0 / facets.dim)
     corners = facets.points[:, : facets.corners]
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1, initial=0.0)
-    normals = facets.mean_normals
-    # random directions, none of which is along an axis
-    vectors = np.random.default_rng(0).normal(size=(DIRECTIONS, 1 + facets.dim))
-    directions = unit(in_space(vectors))
-    cosine = np.abs(normals @ directions.T)
-    along = np.minimum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), cosine)
-    quality = np.zeros((number, DIRECTIONS))
-    np.add.at(quality, body, area[:, None] * np.minimum(along, LEAST_COMPONENT))
-    quality = reduce_array(comm, quality) / np.where(whole > 0.0, whole, 1.0)[:, None]
-    best = np.round(quality, 6).argmax(axis=1)  # the rounding of sums depends on the partition
-    direction = directions[best][body]
-    return np.column_stack([body, size[body], centre, normals, radius, direction])
+    return np.column_stack([body, size[body], centre, facets.mean_normals, radius])
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
-    """Return the nodes whose jump another node already constrains. Not collective.
+    """Return the nodes (n,) whose jump another node already constrains. Not collective.
 
-    `SelfContact` decides which of two facets is the secondary one. Where its choice changes from
-    facet to facet, two opposite nodes may each be secondary on one facet and primary on the next.
-    Both nodes would have the same jump: only the node that comes first in the mesh file has a
-    multiplier, and the second node is returned. A node that is opposite to itself, such as the tip
-    of a crack, has no jump, and is returned.
+    Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
+    secondary on one facet and primary on the next. Both would have the same jump: only the node
+    that comes first in the mesh file has a multiplier, and the second node is returned. A node that
+    is opposite to itself, such as the tip of a crack, has no jump, and is returned. The result is
+    valid for nodes whose facets are all on this rank.
 
     Args:
         nodes: the nodes of the surface.
         paired: (p, 2) pairs of a secondary and a primary facet that overlap.
         opposite: (q, 2) pairs of facets that see each other with exchanged roles.
-
-    Returns:
-        (n,) whether the node has no multiplier for this reason; valid for nodes whose facets are
-        all on this rank.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
     def rows(pairs: Indices) -> Indices:
-        """Return rows (node, its number in the mesh file, this number of an opposite node).
-
-        There is a row for each corner of the first facet of a pair, with each corner of the second.
-        """
+        """Return rows (node, its number in the mesh file, that of an opposite node)."""
         own, theirs = pairs.T
         corners, numbers = nodes.facet_nodes[own], in_file[own]
         repeated = (np.repeat(columns, count, axis=1) for columns in (corners, numbers))
@@ -516,27 +461,4 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
     seen, times = np.unique(together, axis=0, return_counts=True)
     own, theirs = seen[:, 1], seen[:, 2]
     second = seen[(own == theirs) | (times > 1) & (own > theirs), 0]
-    result = np.zeros(len(nodes.numbers), dtype=np.bool_)
-    result[second] = True
-    return result
-
-
-def opposite_bodies(nodes: SurfaceNodes, paired: Indices, order: SelfContact) -> Indices:
-    """Return the body that is opposite to each node. Not collective.
-
-    `couple` treats patches of a node on a sharp edge that face different bodies like different
-    nodes.
-
-    Args:
-        nodes: the nodes of the surface.
-        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
-        order: the bodies of the facets.
-
-    Returns:
-        (n,) the number of the body, the least number if there are several bodies; -1 for nodes
-        without an opposite facet.
-    """
-    no_body = np.iinfo(np.intp).max
-    facet, partner = paired.T
-    result = nodes.reduced(np.minimum, order.body[partner][:, None], no_body, facet)
-    return np.where(result == no_body, -1, result)
+    return np.isin(np.arange(len(nodes.numbers)), second)

@@ -35,10 +35,7 @@ VectorField: TypeAlias = (
 def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
     """Check the type and the shape of a field; other values than NaN are checked at nodes.
 
-    Args:
-        value: the field.
-        shape: () for a scalar, (3,) for a vector.
-        name: the name of the quantity, for error messages.
+    The shape is () for a scalar, (3,) for a vector; the name is that of the quantity in messages.
 
     Raises:
         InputError: the value has another shape, is complex or NaN, or has no value at nodes.

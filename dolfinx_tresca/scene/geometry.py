@@ -225,9 +225,9 @@ class ExactSurface(NamedTuple):
 
     Attributes:
         pieces: the projection onto each smooth piece of the surface.
-        project: projection of nodes onto the whole surface; nodes that belong to an edge of it are
-            projected onto the edge, so that a flat surface on the other side of the edge stays
-            flat. Raises InputError if too few nodes are on the surface before they are moved.
+        project: projection of nodes onto the whole surface; nodes of an edge of it are projected
+            onto the edge, so that a flat surface on the other side of the edge stays flat. Raises
+            InputError if too few nodes are on the surface before they are moved.
     """
 
     pieces: Sequence[Projection]
@@ -259,13 +259,10 @@ def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
 
 
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
-    """Project points onto a surface and return the result (n, 3) [length]. Not collective.
+    """Project points (n, 3) onto a surface and return the result (n, 3) [length]. Not collective.
 
-    Args:
-        points: (n, 3) the points [length].
-        name: the name of the projection, for error messages.
-        projection: the projection onto the surface.
-        dim: dimension of space; further coordinates are unchanged.
+    `name` is that of the projection in error messages; coordinates beyond the dimension of space
+    are unchanged.
 
     Raises:
         InputError: the projection does not return n finite points.
@@ -354,9 +351,8 @@ def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
 def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     """Return the nearest points (3, n) of a curved surface of Gmsh's built-in kernel.
 
-    On the surfaces of `press_fit.geo` Gmsh's own search takes 4 to 35 times as long as this search.
-    The points that Gmsh finds lie on the surface, but are farther away than the nearest points, by
-    up to 1e-3 of the size of the surface.
+    On the surfaces of `press_fit.geo` Gmsh's own search takes 4 to 35 times as long, and the points
+    that it finds are farther away than the nearest ones, by up to 1e-3 of the size of the surface.
     """
     low, high = model.getParametrizationBounds(2, surface)
     grid = _grid(model, 2, surface, number=32)

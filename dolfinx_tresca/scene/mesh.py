@@ -123,12 +123,7 @@ class TaggedMesh:
 
 @collective(comm_of("comm"), ignored=("path",))
 def read_gmsh(
-    path: Any,
-    comm: MPI.Comm,
-    *,
-    size: Any = None,
-    unit: Any = "mm",
-    **parameters: float,
+    path: Any, comm: MPI.Comm, *, size: Any = None, unit: Any = "mm", **parameters: float
 ) -> TaggedMesh:
     """Mesh a CAD file or a `.geo` file, or load a mesh, with the names of bodies and faces.
 
@@ -198,10 +193,9 @@ def read_gmsh(
 def _meshed(
     comm: MPI.Comm, gmsh: Any, path: Any, size: Any, unit: str, parameters: dict[str, float]
 ) -> tuple[list[tuple[int, int, str]], GmshGeometry | None]:
-    """Open and mesh the user's file or model in Gmsh; see `read_gmsh`. Not collective.
+    """Open and mesh the user's file or model; return `_physical_groups`, and the geometry if known.
 
-    Returns:
-        see `_physical_groups`; and the geometry, if it is known.
+    For arguments see `read_gmsh`. Not collective.
     """
     is_file = isinstance(path, str | PathLike)
     if not is_file and not hasattr(path, "getPhysicalGroups"):
@@ -219,8 +213,7 @@ def _meshed(
         check_parameters(gmsh, source, parameters)
         open_file(gmsh, source, parameters)
     if suffix in CAD_SUFFIXES:
-        low, high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-        box = " x ".join(f"{length:.4g}" for length in high - low)
+        box = " x ".join(f"{length:.4g}" for length in np.ptp(_box(gmsh.model, -1, -1), axis=0))
         log(comm, "%s: the box of all bodies is %s %s", source.name, box, unit)
     _mesh(gmsh, source, size)
     groups = _physical_groups(gmsh.model, source)
@@ -290,12 +283,8 @@ def name_groups(model: Any, name: str) -> None:
     """Put each body, and each face of a body, of a model without groups into a group of its own.
 
     Names are the labels of the file. Without label bodies are `body 1`, `body 2`, and the faces of
-    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces, and their faces are curves. Not
-    collective.
-
-    Args:
-        model: the current model of Gmsh.
-        name: name of the model, for error messages.
+    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces, and their faces are curves. The `name` of
+    the model is for error messages. Not collective.
 
     Raises:
         MeshError: there is no body, a face is in no body, or two bodies share a face.
@@ -355,8 +344,9 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
         entity: model.getPhysicalName(dim, tag) or str(tag)
         for tag, entity in _grouped_entities(model, dim)
     }
-    names, size = dict.fromkeys(bodies.values(), size), {} if size is None else size
-    given = size if isinstance(size, Mapping) else names
+    names = list(dict.fromkeys(bodies.values()))
+    size = {} if size is None else size
+    given = size if isinstance(size, Mapping) else dict.fromkeys(names, size)
     for body, value in given.items():
         if body not in names:
             raise InputError(

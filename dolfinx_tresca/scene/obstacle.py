@@ -38,12 +38,9 @@ class RigidMotion:
 
     @classmethod
     def about(cls, point: Array, rotation_vector: Array, translation: Array) -> RigidMotion:
-        """Return a rotation about a point, followed by a translation.
+        """Return a rotation about a point (3,) [length], followed by a translation (3,) [length].
 
-        Args:
-            point: (3,) point that the rotation leaves where it is [length].
-            rotation_vector: (3,) axis of the rotation times the angle [rad].
-            translation: (3,) translation [length].
+        The rotation vector (3,) is its axis times the angle [rad].
         """
         R = Rotation.from_rotvec(rotation_vector).as_matrix()
         return cls(R, point - R @ point + translation)
@@ -54,12 +51,9 @@ class RigidMotion:
         return RigidMotion(self.rotation @ earlier.rotation, translation)
 
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
-        """Return the motion at a fraction of the way to another motion.
+        """Return the motion at a fraction, from 0 to 1, of the way to another motion.
 
-        Args:
-            end: the motion at the end of the way.
-            fraction: fraction of the way, from 0 to 1.
-            centre: (3,) point that moves along a straight line [length].
+        The centre (3,) moves along a straight line [length].
         """
         turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
         R = turn.as_matrix() @ self.rotation
@@ -68,13 +62,11 @@ class RigidMotion:
 
     def applied_to(self, points: Array) -> Array:
         """Return the positions (3, n) to which points (3, n) move [length]."""
-        moved: Array = self.rotation @ points + self.translation[:, None]
-        return moved
+        return np.asarray(self.rotation @ points + self.translation[:, None])
 
     def reversed_from(self, positions: Array) -> Array:
         """Return the points (3, n) that move to positions (3, n) [length]."""
-        points: Array = self.rotation.T @ (positions - self.translation[:, None])
-        return points
+        return np.asarray(self.rotation.T @ (positions - self.translation[:, None]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, RigidMotion) and np.array_equal(self.matrix, other.matrix)
@@ -533,10 +525,8 @@ def _constants_of(*values: Any) -> list[fem.Constant]:
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
     """Return the distance (n,) and normal (3, n) of a sphere or cylinder.
 
-    Args:
-        offset: (3, n) vectors from the centre, or the axis, to the points [length].
-        radius: the radius [length].
-        hollow: whether the obstacle is the outside of the sphere or cylinder.
+    The offset (3, n) is from the centre, or the axis, to the points [length]; a `hollow` obstacle
+    is the outside.
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0

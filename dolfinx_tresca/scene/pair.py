@@ -407,14 +407,9 @@ Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip | Pressur
 def checked_goal(goal: Goal, pairs: int, dim: int) -> Goal:
     """Check the user's argument `goal` and return it. Not collective.
 
-    Args:
-        goal: the argument.
-        pairs: number of pairs of the problem.
-        dim: dimension of space.
-
     Raises:
-        InputError: the argument is not a goal, its pair does not exist, or its vectors do not have
-            the dimension of space.
+        InputError: the argument is not a goal, its pair is not one of the number of `pairs`, or its
+            vectors do not have the dimension of space.
     """
     kinds = "a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm"
     check_type("goal", goal, Goal, kinds)
