@@ -210,17 +210,12 @@ class GoalError:
         return self.error / abs(self.value) if self.value else float("inf")
 
     def __repr__(self) -> str:
-        return (
-            f"<GoalError: {type(self.goal).__name__} {self.value:.6g}, error about "
-            f"{self.error:.1e}>"
-        )
+        name = type(self.goal).__name__
+        return f"<GoalError: {name} {self.value:.6g}, error about {self.error:.1e}>"
 
 
 def goal_error(
-    goal: Goal,
-    contact: LinearisedContact,
-    u: fem.Function,
-    energy_error: float,
+    goal: Goal, contact: LinearisedContact, u: fem.Function, energy_error: float
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
@@ -532,11 +527,11 @@ def tangent_of(
 
     def vectors(side: JumpOperator, stress: Array, slip: Array) -> Array:
         """Return tractions and slips (2, n, d) at the nodes of all pairs, pair by pair."""
-        columns = [
-            [rows.operators.tangential_vectors(values[rows.tangential]) for rows in side.by_pair]
-            for values in (stress, slip)
+        pairs = [(rows.operators, rows.tangential) for rows in side.by_pair]
+        by_pair = [
+            [pair.tangential_vectors(values[t]) for values in (stress, slip)] for pair, t in pairs
         ]
-        return np.stack([np.concatenate(column) for column in columns])
+        return np.concatenate(by_pair, axis=1)
 
     def present(side: JumpOperator, _: Array) -> Array:
         return vectors(side, x * side.stress_scale, -contact.gradient * side.length_scale)
