@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -62,7 +63,7 @@ WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 DOUBT = {1: 0.15, 2: 0.25}
 
 
-def value_of(goal: Goal, jump: JumpOperator, x: Array, jump_of_u: Array) -> float:
+def value_of(goal: Goal, x: Array, jump: JumpOperator, jump_of_u: Array) -> float:
     """Return the value of a goal for multipliers x (size,) and a jump B u (size,). Collective.
 
     Raises:
@@ -242,7 +243,7 @@ def goal_error(
     degree = contact.u.function_space.element.basix_element.degree
     return GoalError(
         goal=goal,
-        value=value_of(goal, jump, x, jump.of_displacement(u)),
+        value=value_of(goal, x, jump, jump.of_displacement(u)),
         error=abs(float(signed)) + DOUBT[degree] * float(unsigned),
         signed_error=float(signed),
         iteration_error=energy_error * dual.norm_of(z),
@@ -386,12 +387,8 @@ def explicit_rate(
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)
         return float(sum(data.derivative(goal, *pair) for pair in pairs))
-    x = data.contact.multipliers
-    rates = (
-        rows.rate(lambda side, jump_of_u: value_of(goal, side, x, jump_of_u))
-        for rows in change.moved
-    )
-    return float(sum(rates))
+    value = partial(value_of, goal, data.contact.multipliers)
+    return float(sum(rows.rate(value) for rows in change.moved))
 
 
 def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:

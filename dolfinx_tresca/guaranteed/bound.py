@@ -168,7 +168,7 @@ class Bodies:
             ContactError: the displacement is not in equilibrium.
         """
         cells, d = self.cells, self.cells.d
-        given = loads(L, cells, self.factors, self.linear.entity_maps)
+        given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
         at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
@@ -180,13 +180,13 @@ class Bodies:
         for surface in surfaces:
             surface.lift(v)
             for cell, facet, tractions in surface.sides:
-                given.loading[cell, facet, :d] += tractions
-        force.x.array[:] = cells.nodal_forces(given.loading).ravel()
+                given[cell, facet, :d] += tractions
+        force.x.array[:] = cells.nodal_forces(given).ravel()
         balanced = self.response(dual, force, u, rtol=1e-12)
         balanced.x.array[:] += u.x.array
         discrete, of_v = (cells.stresses(w, self.stiffness) for w in (balanced, v))
         approximate = self.unknown[:, :, None] & (np.arange(d + 1) < d)[:, None]
-        loading = np.where(approximate, cells.loading_of(discrete), given.loading)
+        loading = np.where(approximate, cells.loading_of(discrete), given)
         # a body may be free of forces where v, of another load, is not
         forces, forces_of_v = map(cells.internal_forces, (discrete, of_v))
         loading = self.stars.equilibrated(loading, forces)
@@ -200,7 +200,7 @@ class Bodies:
                 f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
-        return Candidate(surfaces, v, loading, given.oscillation)
+        return Candidate(surfaces, v, loading, oscillation)
 
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
         """Return by how much tractions and a displacement miss the law of contact. Collective.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 import ufl
@@ -82,21 +80,10 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
     return result
 
 
-@dataclass(frozen=True)
-class Loads:
-    """The linear projections of the loads of owned cells, and bounds of their distances.
-
-    Attributes:
-        loading: (n, d + 1, d + 1, d) loading, with tractions on the boundary alone.
-        oscillation: (n,) bound of what the loads minus their projections do.
-    """
-
-    loading: Array
-    oscillation: Array
-
-
-def loads(L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps | None) -> Loads:
-    """Return the loads of a linear form. Collective.
+def loads(
+    L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps | None
+) -> tuple[Array, Array]:
+    """Return the linear projections of the loads of a form, and their distances. Collective.
 
     Projections have the degree that UFL estimates, and are exact for polynomials; distances from
     them are exact for polynomials of degree up to 5, see `SQUARES`. They have a quadratic part and
@@ -109,13 +96,17 @@ def loads(L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps
             functions, relative to the energy norm: in the cell, and on each facet.
         maps: entity maps of Functions on other meshes.
 
+    Returns:
+        the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
+        bounds (n,) of the work of the loads minus their projections, relative to the energy norm.
+
     Raises:
         InputError: L has integrals over interior facets, or depends on the gradient.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
-    result = Loads(np.zeros((n, corners, corners, d)), np.zeros(n))
+    loading, oscillation = np.zeros((n, corners, corners, d)), np.zeros(n)
     if L is None:
-        return result
+        return loading, oscillation
     (argument,) = L.arguments()
     kinds = {integral.integral_type() for integral in L.integrals()}
     cells.require(
@@ -130,7 +121,7 @@ def loads(L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     off = ufl.FacetNormal(mesh) - normal
     on_facet = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
-    terms = list(cells.terms(result.loading))
+    terms = list(cells.terms(loading))
     for integral in L.integrals():
         indicator, ratio, numbers = 1.0, 1.0, range(1)
         if integral.integral_type() != "cell":
@@ -158,10 +149,10 @@ def loads(L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps
             farther = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
             projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means @ values)
             values -= linear @ projection
-            load += projection  # a view of the result
+            load += projection  # a view of the loading
             quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
-            result.oscillation[:] += factors[:, number] * largest_work(quadratic, farther, ratio)
-    return result
+            oscillation += factors[:, number] * largest_work(quadratic, farther, ratio)
+    return loading, oscillation
 
 
 def largest_work(quadratic: Array, farther: Array, ratio: float) -> Array:

@@ -346,7 +346,7 @@ class ContactProcess(PetscOwner, Tabulated):
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._contact.solution_for("the value of a goal")
         jump = solved.dual.jump
-        return value_of(goal, jump, solved.multipliers, jump.of_displacement(solved.fields.u))
+        return value_of(goal, solved.multipliers, jump, jump.of_displacement(solved.fields.u))
 
     @collective(comm_of_self)
     def gradient(
