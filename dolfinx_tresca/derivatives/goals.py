@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -62,7 +63,7 @@ WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 DOUBT = {1: 0.15, 2: 0.25}
 
 
-def value_of(goal: Goal, jump: JumpOperator, x: Array, jump_of_u: Array) -> float:
+def value_of(goal: Goal, x: Array, jump: JumpOperator, jump_of_u: Array) -> float:
     """Return the value of a goal for multipliers x (size,) and a jump B u (size,). Collective.
 
     Raises:
@@ -210,17 +211,12 @@ class GoalError:
         return self.error / abs(self.value) if self.value else float("inf")
 
     def __repr__(self) -> str:
-        return (
-            f"<GoalError: {type(self.goal).__name__} {self.value:.6g}, error about "
-            f"{self.error:.1e}>"
-        )
+        name = type(self.goal).__name__
+        return f"<GoalError: {name} {self.value:.6g}, error about {self.error:.1e}>"
 
 
 def goal_error(
-    goal: Goal,
-    contact: LinearisedContact,
-    u: fem.Function,
-    energy_error: float,
+    goal: Goal, contact: LinearisedContact, u: fem.Function, energy_error: float
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
@@ -247,7 +243,7 @@ def goal_error(
     degree = contact.u.function_space.element.basix_element.degree
     return GoalError(
         goal=goal,
-        value=value_of(goal, jump, x, jump.of_displacement(u)),
+        value=value_of(goal, x, jump, jump.of_displacement(u)),
         error=abs(float(signed)) + DOUBT[degree] * float(unsigned),
         signed_error=float(signed),
         iteration_error=energy_error * dual.norm_of(z),
@@ -391,12 +387,8 @@ def explicit_rate(
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)
         return float(sum(data.derivative(goal, *pair) for pair in pairs))
-    x = data.contact.multipliers
-    rates = (
-        rows.rate(lambda side, jump_of_u: value_of(goal, side, x, jump_of_u))
-        for rows in change.moved
-    )
-    return float(sum(rates))
+    value = partial(value_of, goal, data.contact.multipliers)
+    return float(sum(rows.rate(value) for rows in change.moved))
 
 
 def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
@@ -532,11 +524,11 @@ def tangent_of(
 
     def vectors(side: JumpOperator, stress: Array, slip: Array) -> Array:
         """Return tractions and slips (2, n, d) at the nodes of all pairs, pair by pair."""
-        columns = [
-            [rows.operators.tangential_vectors(values[rows.tangential]) for rows in side.by_pair]
-            for values in (stress, slip)
+        pairs = [(rows.operators, rows.tangential) for rows in side.by_pair]
+        by_pair = [
+            [pair.tangential_vectors(values[t]) for values in (stress, slip)] for pair, t in pairs
         ]
-        return np.stack([np.concatenate(column) for column in columns])
+        return np.concatenate(by_pair, axis=1)
 
     def present(side: JumpOperator, _: Array) -> Array:
         return vectors(side, x * side.stress_scale, -contact.gradient * side.length_scale)

@@ -149,11 +149,7 @@ class LinearisedContact:
         return du, dx + grown
 
     def adjoint(
-        self,
-        on_jump: Array,
-        on_x: Array,
-        on_u: Array | None = None,
-        accuracy: float | None = None,
+        self, on_jump: Array, on_x: Array, on_u: Array | None = None, accuracy: float | None = None
     ) -> tuple[fem.Function, Array]:
         """Return the adjoint (z, y) for the goal on_jump'B u + on_x'x + on_u'u. Collective.
 
@@ -200,12 +196,11 @@ class LinearisedContact:
         prescribed = dual.jump.system.prescribed
         v = fem.Function(dual.jump.system.V, name="adjoint" if transpose else "displacement")
         displacement = _FollowedDisplacement(dual, force, v.x.petsc_vec)
-        missing, size = np.zeros(constraints.columns.shape[1]), 0.0
+        resultants, largest_resultant = np.zeros(constraints.columns.shape[1]), 0.0
         if dual.equilibrium is not None:
             free = force.copy()
             free.array[prescribed] = 0.0
-            missing, size = dual.equilibrium.resultants(free)
-        unmet = missing
+            resultants, largest_resultant = dual.equilibrium.resultants(free)
         jump_at_start = displacement.solve_start()
         store = dual.known_products()
         model = store.model()
@@ -217,18 +212,20 @@ class LinearisedContact:
         terms = np.abs(jump_at_start) + np.abs(offset)
         rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
         # y, c, and the values of v that follow them; and orthogonal steps of all three
-        ends = len(right), len(right) + len(missing)
+        ends = len(right), len(right) + len(resultants)
         point = np.concatenate([np.zeros(ends[1]), displacement.values])
-        steps: list[Array] = []
+        steps: Array = np.empty((len(point), 0))
         images: Array = np.empty((len(right), 0))
-        wanted, converged = 0.0, False
+        missing, wanted_length, converged = resultants, 0.0, False
         for count in range(MOST_STEPS):
             maps = self._maps(model.diagonal, transpose)
             step_y, step_c = model.solve_between(
                 maps, residual, constraints.columns, constraints.softness, missing
             )
             length = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
-            if count and (length <= wanted or norm(dual, root * residual) <= rounding):
+            # the last step needs no product: it is shorter than the wanted error, or the residual
+            # from which it comes is rounding
+            if count and (length <= wanted_length or norm(dual, root * residual) <= rounding):
                 point[: ends[1]] += np.append(step_y, step_c)
                 converged = True
                 break
@@ -238,18 +235,16 @@ class LinearisedContact:
             step: Array = np.concatenate([step_y, step_c, change])
             factor = 1.0
             if count == 0:
-                wanted, missing = accuracy * length, np.zeros_like(missing)
+                # whole, since this step alone changes G'y + S c, by what is missing
+                wanted_length, missing = accuracy * length, np.zeros_like(missing)
             else:
                 before, overlaps = norm(dual, root * image), dual.inner(images, weight * image)
                 image = image - images @ overlaps
                 new = norm(dual, root * image)
                 if new <= RESIDUAL_ROUNDING * before:  # errors of products, or no solution exists
                     break
-                for overlap, earlier in zip(overlaps, steps, strict=True):
-                    step -= overlap * earlier
-                step, image = 1.0 / new * step, 1.0 / new * image
-                steps.append(step)
-                images = np.column_stack([images, image])
+                step, image = 1.0 / new * (step - steps @ overlaps), 1.0 / new * image
+                steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
                 factor = float(dual.inner(image, weight * residual))
             point, residual = point + factor * step, residual - factor * image
             displacement.values = point[ends[1] :]
@@ -257,10 +252,10 @@ class LinearisedContact:
         y, c = point[: ends[0]], point[ends[0] : ends[1]]
         accepted = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * right)
         is_solved = converged or norm(dual, root * residual) <= max(accepted, rounding)
-        unmet = unmet - dual.inner(constraints.columns, y) - constraints.softness @ c
-        largest = size if transpose else size + norm(dual, y)
-        # relative to the size of the data: derivatives of the goal, or changes of the load
-        is_balanced = size == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
+        unmet = resultants - dual.inner(constraints.columns, y) - constraints.softness @ c
+        # changes of gaps and slip bounds, too, cause multipliers of a tangent
+        largest = largest_resultant + (0.0 if transpose else norm(dual, y))
+        is_balanced = largest_resultant == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
         if not (is_solved and is_balanced) and transpose:
             raise ConvergenceError(
                 "the number has no adjoint: with the contact state of each node fixed (open, "

@@ -20,11 +20,7 @@ from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
 from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
-from dolfinx_tresca.derivatives.goals import (
-    WeightedGoals,
-    as_derivatives,
-    gradient,
-)
+from dolfinx_tresca.derivatives.goals import WeightedGoals, as_derivatives, gradient
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.nodal_values import replaced, values_of

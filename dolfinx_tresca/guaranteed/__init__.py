@@ -4,9 +4,9 @@ By Prager and Synge, the distance of the computed stress from any stress in equi
 loads bounds its error. Such a stress is built cell by cell on simplices, from tractions on facets
 that are in equilibrium around each vertex; what contact and curved loads lack is added.
 
-- `OwnedCells`: the cells of a rank.
-- `Simplices`, `StressEnergies`: shapes and constants of cells, and stresses with given tractions on
-  the facets and a given divergence.
+- `Simplices`, `MeshCells`: shapes and constants of cells; those of a rank.
+- The *loading* of a cell: linear tractions on its facets, and a linear load in it.
+- `StressEnergies`: stresses in equilibrium with a loading.
 - A *star* is the cells around a vertex; `Stars` finds tractions in equilibrium on its facets.
 - `ContactSurface`: admissible tractions of a pair, and what they lack of the law of contact.
 - `GuaranteedError`: the bound, with its terms.
@@ -17,5 +17,5 @@ that are in equilibrium around each vertex; what contact and curved loads lack i
 | d | `Simplices.d` | dimension of space |
 | v | `ContactSurface.lift` | a displacement near u that does not penetrate |
 
-Read first: `bound.Bodies.error`, `stars.Stars`, `cells.stress_products`.
+Read first: `bound.Bodies.error`, `bound.Bodies.candidate`, `stars.Stars`.
 """

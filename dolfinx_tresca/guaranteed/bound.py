@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,22 +15,13 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.compat import geometry_degree
-from dolfinx_tresca._base.functions import assembled, owned_values, zero_like
+from dolfinx_tresca._base.functions import assembled, zero_like
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.guaranteed.cells import (
-    OwnedCells,
-    StressEnergies,
-    require,
-    rigid_motions,
-    spread,
-    stress_data,
-    symmetric_basis,
-)
+from dolfinx_tresca.guaranteed.cells import MeshCells, StressEnergies, rigid_motions
 from dolfinx_tresca.guaranteed.contact import ContactSurface
-from dolfinx_tresca.guaranteed.forms import Loads, elasticity, loads
+from dolfinx_tresca.guaranteed.forms import elasticity, loads
 from dolfinx_tresca.guaranteed.stars import Stars
 from dolfinx_tresca.scene.pair import ContactForce, NormalForce, checked_goal
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -94,38 +85,20 @@ class GuaranteedError:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Tractions, loads and displacements that bound the exact solution of a load.
+    """Tractions, a stress and a displacement that bound the exact solution of a load.
 
     Attributes:
         surfaces: the contact surfaces, with admissible tractions.
-        loads: loads, and tractions on the whole boundary.
         v: a displacement that does not penetrate.
-        balanced: (n, d + 1, d, d) stress of a displacement that balances the loads.
+        loading: (n, d + 1, d + 1, d) loading of a stress in equilibrium with the load and the
+            tractions of `surfaces`.
+        oscillation: (n,) bounds of what the load does that `loading` does not balance.
     """
 
     surfaces: list[ContactSurface]
-    loads: Loads
     v: fem.Function
-    balanced: Array
-
-
-@dataclass(frozen=True)
-class Distance:
-    """The distance of a stress in equilibrium from that of a displacement v, by cell.
-
-    Attributes:
-        difference: data of the difference of both stresses, see `StressEnergies`.
-        stress: (n,) the norm of the difference.
-        oscillation: (n,) bounds of what loads do that the stress does not balance.
-        complementarity: (n,) integrals of pressure times gap.
-        friction: (n,) integrals of what the work of friction lacks of its bound.
-    """
-
-    difference: Array
-    stress: Array
+    loading: Array
     oscillation: Array
-    complementarity: Array
-    friction: Array
 
 
 class Bodies:
@@ -137,54 +110,52 @@ class Bodies:
         Raises:
             InputError: the bound does not cover the problem.
         """
-        mesh, self.linear, self.V = linear.V.mesh, linear, linear.V
-        self.comm, cell = mesh.comm, mesh.topology.cell_name()
-        plain = linear.component is None and not linear.axisymmetric
-        for holds, needed in (
-            (plain, "displacements in a plane or in space, not mixed spaces or revolution"),
-            (
-                cell in ("triangle", "tetrahedron"),
-                f"triangles or tetrahedra, found {cell} cells. Divide them into simplices",
-            ),
-            (geometry_degree(mesh) == 1, "cells with straight edges"),
-            (
-                dual.equilibrium is None,
-                "Dirichlet conditions that hold each body; here contact alone holds a body "
-                "against some motion",
-            ),
-        ):
-            require(self.comm, holds, needed)
-        self.owned = owned = OwnedCells.from_space(self.V)
-        self.cells = cells = owned.cells
-        self.stiffness = elasticity(linear.ufl_forms[0], owned, linear.entity_maps)
+        self.linear, self.V, self.comm = linear, linear.V, linear.comm
+        self.cells = cells = MeshCells.from_space(self.V)
+        cells.require(
+            linear.component is None and not linear.axisymmetric,
+            "displacements in a plane or in space, not mixed spaces or revolution",
+        )
+        cells.require(
+            dual.equilibrium is None,
+            "Dirichlet conditions that hold each body; here contact alone holds a body against "
+            "some motion",
+        )
+        self.stiffness = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
         self.energies = StressEnergies(cells, np.asarray(np.linalg.inv(self.stiffness)))
-        self.prescribed = spread(self.V, linear.prescribed.reshape(-1, cells.d)) > 0.0
-        exterior = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-        inside = ~np.isin(owned.facets, exterior)[:, :, None]
-        held = self.prescribed[owned.nodes[:, owned.on_facets]].all(axis=2) & ~inside
+        self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
+        exterior = dolfinx.mesh.exterior_facet_indices(self.V.mesh.topology)
+        inside = ~np.isin(cells.facets, exterior)[:, :, None]
+        held = self.prescribed[cells.facet_nodes].all(axis=(2, 3)) & ~inside
         self.unknown = held | inside
-        self.stars = Stars(owned, self.energies.facet_stiffness(), self.unknown)
+        self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
         # facets that are held take any load
         traces = cells.trace_factors * ~held.all(axis=2)
         factors = np.hstack([cells.poincare_factors[:, None], traces])
         self.factors = factors / np.sqrt(np.linalg.eigvalsh(self.stiffness)[:, :1])
 
-    def stress_data(self, w: fem.Function) -> Array:
-        """Return the data of the stresses of a displacement, see `StressEnergies`."""
-        return stress_data(self.cells, self.stresses(w))
+    def loading_of(self, w: fem.Function) -> Array:
+        """Return the loading of the stress of a displacement."""
+        return self.cells.loading_of(self.cells.stresses(w, self.stiffness))
 
-    def stresses(self, w: fem.Function) -> Array:
-        """Return the stresses (n, d + 1, d, d) of a displacement at the vertices of cells."""
-        owned, tensors = self.owned, symmetric_basis(self.cells.d)
-        values = w.x.array.reshape(-1, owned.cells.d)[owned.nodes]
-        slopes = 2.0 * np.einsum("kab,nki->naib", owned.basis, values)
-        strains = np.tensordot(slopes @ owned.cells.gradients[:, None], tensors, ([2, 3], [1, 2]))
-        return np.asarray(np.tensordot(strains @ self.stiffness, tensors, axes=1))
+    def response(
+        self, dual: DualProgram, forces: fem.Function, u: fem.Function, rtol: float
+    ) -> fem.Function:
+        """Return the displacement that forces cause beyond u, with one solve with K. Collective."""
+        result = zero_like(u, "response")
+        residual = self.linear.residual_of(forces.x.petsc_vec, u.x.petsc_vec)
+        dual.operator.solver.improve(residual, result.x.petsc_vec, rtol=rtol, accuracy=0.0)
+        residual.destroy()
+        result.x.scatter_forward()
+        return result
 
     def candidate(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
     ) -> Candidate:
-        """Return admissible tractions and displacements, with one solve with K. Collective.
+        """Return admissible tractions, a stress and a displacement. Collective.
+
+        The tractions on the boundary are the given ones; others come from the displacement for
+        these, which takes one solve with K, and are corrected star by star.
 
         Args:
             dual: the dual problem that was solved.
@@ -194,80 +165,34 @@ class Bodies:
 
         Raises:
             InputError: the bound does not cover the contact pairs, or the load.
+            ContactError: the displacement is not in equilibrium.
         """
-        given = loads(L, self.owned, self.factors, self.linear.entity_maps)
+        cells, d = self.cells, self.cells.d
+        given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
         at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
         surfaces = [
-            ContactSurface(self.owned, dual, number, multipliers, bounds, self.prescribed)
+            ContactSurface(cells, dual, number, multipliers, bounds, self.prescribed)
             for number in range(len(dual.jump.pairs))
         ]
-        v, right, balanced = u.copy(), zero_like(u, "force"), zero_like(u, "balanced")
+        v, force = u.copy(), zero_like(u, "force")
         for surface in surfaces:
             surface.lift(v)
             for cell, facet, tractions in surface.sides:
-                given.traction[cell, facet] += tractions
-        right.x.array[:] = self.owned.nodal_forces(given.load, given.traction).ravel()
-        residual = self.linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
-        dual.operator.solver.improve(residual, balanced.x.petsc_vec, rtol=1e-12, accuracy=0.0)
-        residual.destroy()
-        balanced.x.scatter_forward()
+                given[cell, facet, :d] += tractions
+        force.x.array[:] = cells.nodal_forces(given).ravel()
+        balanced = self.response(dual, force, u, rtol=1e-12)
         balanced.x.array[:] += u.x.array
-        return Candidate(surfaces, given, v, self.stresses(balanced))
-
-    def distance(
-        self, candidate: Candidate, v: fem.Function, target: Array, gain: float
-    ) -> Distance:
-        """Return the distance of a stress in equilibrium from that of a displacement. Collective.
-
-        Args:
-            candidate: the loads and tractions that the stress balances.
-            v: displacement that does not penetrate.
-            target: data of the stress that is to be near, see `StressEnergies`.
-            gain: part of the distance by which a step must lower it, or the steps end.
-
-        Raises:
-            InputError: prescribed displacements penetrate.
-            ContactError: the displacement is not in equilibrium.
-        """
-        defects = np.zeros((2, len(self.unknown)))
-        largest = reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX)
-        for surface in candidate.surfaces:
-            *lacking, deepest = surface.defects(v)
-            for total, lack in zip(defects, lacking, strict=True):
-                np.add.at(total, surface.cell, lack)
-            require(
-                self.comm,
-                deepest <= PENETRATION * largest,
-                "an exact solution, and prescribed displacements penetrate at contact pair "
-                f"{surface.pair}",
-            )
-        difference = self._equilibrated(candidate, target) - target
-        self._shorten(difference, gain)
-        stress = np.sqrt(self.energies.squared_norms(difference))
-        return Distance(difference, stress, candidate.loads.oscillation, *defects)
-
-    def _equilibrated(self, candidate: Candidate, reference: Array) -> Array:
-        """Return data of a stress in equilibrium with a candidate's loads. Collective.
-
-        Boundary tractions are the given ones; others come from `candidate.balanced`, corrected star
-        by star. The data of `reference`, see `StressEnergies`, only tell how large forces are.
-        """
-        cells, count, load = self.cells, self.energies.count, candidate.loads.load
-        given, shape = candidate.loads.traction, candidate.loads.traction.shape
-        discrete = stress_data(cells, candidate.balanced)[:, :count].reshape(shape)
-        near = np.where(self.unknown[:, :, None], discrete, given)
-        internal = np.einsum("nkab,njb->nja", candidate.balanced, cells.gradients) / shape[1]
-        loaded = cells.volume_forces(load)
-        tractions = self.stars.equilibrated(near, cells.volumes[:, None, None] * internal - loaded)
-
-        forces = cells.facet_forces(tractions)
-        # a body may be free of forces where the reference, of another load, is not
-        aimed = cells.facet_forces(reference[:, :count].reshape(shape))
+        discrete, of_v = (cells.stresses(w, self.stiffness) for w in (balanced, v))
+        approximate = self.unknown[:, :, None] & (np.arange(d + 1) < d)[:, None]
+        loading = np.where(approximate, cells.loading_of(discrete), given)
+        # a body may be free of forces where v, of another load, is not
+        forces, forces_of_v = map(cells.internal_forces, (discrete, of_v))
+        loading = self.stars.equilibrated(loading, forces)
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
-        lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), forces + loaded)
-        largest = [np.abs(field).max(initial=0.0) for field in (lacking, forces, aimed)]
+        lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), cells.resultants(loading))
+        largest = [np.abs(field).max(initial=0.0) for field in (lacking, forces, forces_of_v)]
         missing, *sizes = reduce_array(self.comm, largest, MPI.MAX)
         if not missing <= IMBALANCE * max(sizes):  # NaN fails, too
             raise ContactError(
@@ -275,18 +200,44 @@ class Bodies:
                 f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
-        return np.concatenate([tractions.reshape(len(load), count, -1), -load], axis=1)
+        return Candidate(surfaces, v, loading, oscillation)
 
-    def _shorten(self, difference: Array, gain: float) -> None:
-        """Add tractions without resultants that shorten a stress, in place. Collective."""
-        count, shape = self.energies.count, self.unknown.shape
-        derivative = self.energies.derivative(difference)
-        square = float(reduce_array(self.comm, (difference * derivative).sum()))
-        descent = -derivative[:, :count]
+    def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
+        """Return by how much tractions and a displacement miss the law of contact. Collective.
+
+        Returns:
+            (2, n) integrals over the facets of cells [energy]: of pressure times gap, and of what
+            the work of friction lacks of its bound.
+
+        Raises:
+            InputError: prescribed displacements penetrate.
+        """
+        result = np.zeros((2, len(self.unknown)))
+        largest = reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX)
+        for surface in surfaces:
+            *defects, deepest = surface.defects(v)
+            for total, defect in zip(result, defects, strict=True):
+                np.add.at(total, surface.cell, defect)
+            self.cells.require(
+                deepest <= PENETRATION * largest,
+                "an exact solution, and prescribed displacements penetrate at contact pair "
+                f"{surface.pair}",
+            )
+        return result
+
+    def shorten(self, difference: Array, gain: float) -> None:
+        """Add tractions without resultants that make a stress smaller, in place. Collective.
+
+        Args:
+            difference: loading of the stress.
+            gain: part of its norm by which a step must lower it, or the steps end.
+        """
+        descent = -self.energies.derivative(difference)
+        square = -float(reduce_array(self.comm, (difference * descent).sum()))
         direction, previous, lowered, total = np.zeros_like(descent), np.inf, square, 0.0
         # for goals the distance is large by itself, and its decrease tells more
         while lowered > gain * min(total, 2.0 * square) and square > 0.0:
-            step = self.stars.preconditioned(descent.reshape(*shape, -1)).reshape(descent.shape)
+            step = self.stars.preconditioned(descent)
             slope = float(reduce_array(self.comm, (step * descent).sum()))
             if not slope > 0.0:
                 break
@@ -294,7 +245,7 @@ class Bodies:
             previous = slope
             change = self.energies.derivative(direction)
             length = slope / float(reduce_array(self.comm, (direction * change).sum()))
-            difference[:, :count] += length * direction
+            difference += length * direction
             descent -= length * change
             lowered = length * slope
             square, total = square - lowered, total + lowered
@@ -315,14 +266,15 @@ class Bodies:
             ContactError: the displacement is not in equilibrium.
         """
         candidate = self.candidate(dual, multipliers, u, self.linear.ufl_forms[1])
-        of_u, of_v = self.stress_data(u), self.stress_data(candidate.v)
-        distance = self.distance(candidate, candidate.v, of_v, gain)
-        moved = self.energies.squared_norms(of_u - of_v)
+        of_u, of_v = self.loading_of(u), self.loading_of(candidate.v)
+        defects = self.defects(candidate.surfaces, candidate.v)
+        difference = candidate.loading - of_v
+        self.shorten(difference, gain)
         # the mean of both stresses is the centre of a ball that contains the exact stress
-        from_centre = self.energies.squared_norms(of_u - of_v - 0.5 * distance.difference)
-        by_cell = (distance.stress + distance.oscillation) ** 2
-        squares = by_cell, distance.stress**2, distance.oscillation**2, moved, from_centre
-        terms = *squares, distance.complementarity, distance.friction
+        stresses = difference, of_u - of_v, of_u - of_v - 0.5 * difference
+        square, moved, from_centre = map(self.energies.squared_norms, stresses)
+        by_cell = (np.sqrt(square) + candidate.oscillation) ** 2
+        terms = by_cell, square, candidate.oscillation**2, moved, from_centre, *defects
         *sums, complementarity, friction = reduce_array(self.comm, [term.sum() for term in terms])
         eta, stress, oscillation, lift, offset = map(float, np.sqrt(sums))
         defect = max(float(complementarity + friction), 0.0)  # of the conditions of contact
@@ -330,11 +282,10 @@ class Bodies:
         error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + defect)
         radius = np.sqrt(0.25 * stress**2 + defect + oscillation * error_of_v)
         error, norm = float(min(error_of_v + lift, offset + radius)), dual.norm_of(u)
-        cell_errors = fem.Function(
-            fem.functionspace(self.V.mesh, ("DG", 0)), name="guaranteed_cell_errors"
-        )
-        lack = np.maximum(distance.complementarity + distance.friction, 0.0)
-        dofs = cell_errors.function_space.dofmap.list[: len(lack), 0]
+        constants = fem.functionspace(self.V.mesh, ("DG", 0))
+        cell_errors = fem.Function(constants, name="guaranteed_cell_errors")
+        dofs = constants.dofmap.list[: len(moved), 0]
+        lack = np.maximum(defects.sum(axis=0), 0.0)
         cell_errors.x.array[dofs] = np.sqrt(by_cell + 2.0 * lack + moved)
         cell_errors.x.scatter_forward()
         return GuaranteedError(
@@ -377,13 +328,15 @@ class Functional:
     Attributes:
         form: the linear form: J, or a(w, v).
         derivative: the form's vector.
-        w: the displacement with which tractions do the work that is the force; None: no force.
+        w: the displacement that the form causes as a load, without contact; exact for a force.
+        is_force: whether the goal is a force, the work of tractions on w.
         constant: L(w).
     """
 
     form: ufl.Form
     derivative: fem.Function
-    w: fem.Function | None = None
+    w: fem.Function
+    is_force: bool
     constant: float = 0.0
 
     @classmethod
@@ -394,10 +347,8 @@ class Functional:
             InputError: the goal is neither a force nor a linear form, or slip bounds depend on
                 pressures.
         """
-        fixed_bounds = dual.admissible.has_given_bounds
-        require(
-            bodies.comm,
-            fixed_bounds,
+        bodies.cells.require(
+            dual.admissible.has_given_bounds,
             "slip bounds that do not depend on the pressure if it is of a goal",
         )
         linear, pairs = bodies.linear, dual.jump.by_pair
@@ -406,7 +357,9 @@ class Functional:
             if [argument.ufl_function_space() for argument in goal.arguments()] != [bodies.V]:
                 raise InputError("a goal must be a linear form on the space of the displacement.")
             form = ufl.replace(goal, {goal.arguments()[0]: test})
-            return cls(form, assembled(form, bodies.V, linear.entity_maps))
+            derivative = assembled(form, bodies.V, linear.entity_maps)
+            w = bodies.response(dual, derivative, fem.Function(bodies.V), rtol=0.1)
+            return cls(form, derivative, w, is_force=False)
         if not isinstance(goal, ContactForce | NormalForce):
             raise InputError(
                 "a goal with guaranteed bounds must be a NormalForce, a ContactForce or a linear "
@@ -420,28 +373,13 @@ class Functional:
         w.x.scatter_forward()
         form = ufl.replace(linear.ufl_forms[0], {trial: w})
         derivative = assembled(form, bodies.V, linear.entity_maps)
-        return cls(form, derivative, w, _work(linear.assemble_forces(), w))
-
-    def response(self, bodies: Bodies, dual: DualProgram) -> fem.Function:
-        """Return the displacement that the goal causes as a load, without contact. Collective."""
-        if self.w is not None:
-            return self.w
-        result, force = fem.Function(bodies.V), self.derivative.copy()
-        force.x.array[: len(bodies.linear.prescribed)][bodies.linear.prescribed] = 0.0
-        solver = dual.operator.solver
-        solver.improve(force.x.petsc_vec, result.x.petsc_vec, rtol=0.1, accuracy=0.0)
-        result.x.scatter_forward()
-        return result
+        forces = linear.assemble_forces()
+        constant = float(forces.x.petsc_vec.dot(w.x.petsc_vec))
+        return cls(form, derivative, w, is_force=True, constant=constant)
 
     def value(self, v: fem.Function) -> float:
         """Return the value for a displacement. Collective."""
-        return _work(self.derivative, v) - self.constant
-
-
-def _work(force: fem.Function, v: fem.Function) -> float:
-    """Return the work of forces on a displacement. Collective."""
-    work = (owned_values(force) * owned_values(v)).sum()
-    return float(reduce_array(v.function_space.mesh.comm, work))
+        return float(self.derivative.x.petsc_vec.dot(v.x.petsc_vec)) - self.constant
 
 
 def guaranteed_goal(
@@ -471,22 +409,22 @@ def guaranteed_goal(
         InputError: the bound does not cover the problem.
         ContactError: a displacement is not in equilibrium.
     """
-    of_w = 0.0 if functional.w is None else bodies.stress_data(functional.w)
+    of_w = bodies.loading_of(functional.w) if functional.is_force else 0.0
 
     def limits_at(t: float) -> Array:
         """Return upper limits (2,) of J and -J."""
         candidates, result = {sign: solve(sign * t) for sign in (1.0, -1.0)}, []
         for sign, candidate in candidates.items():
             v = candidates[-sign].v
-            target = bodies.stress_data(v) - sign * t * of_w
-            distance = bodies.distance(candidate, v, target, gain)
-            eta = distance.stress + distance.oscillation
-            lack = distance.complementarity + distance.friction
-            square, defect = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), lack.sum()])
+            difference = candidate.loading - bodies.loading_of(v) + sign * t * of_w
+            defects = bodies.defects(candidate.surfaces, v)
+            bodies.shorten(difference, gain)
+            eta = np.sqrt(bodies.energies.squared_norms(difference)) + candidate.oscillation
+            square, defect = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), defects.sum()])
             result.append(sign * functional.value(v) + (square + max(defect, 0.0)) / t)
         return np.array(result)
 
-    start = dual.norm_of(u) / dual.norm_of(functional.response(bodies, dual))
+    start = dual.norm_of(u) / dual.norm_of(functional.w)
     best = limits_at(start)
     for factor in (1.0 / STEP, STEP):
         t, narrower = start, True

@@ -2,10 +2,15 @@
 
 Vertices are in ascending order of their global numbers, so that two cells agree on the order of the
 vertices of their common facet. Facet j is opposite to vertex j.
+
+The *loading* of cells, (n, d + 1, d + 1, d), are for each j the tractions on facet j at its
+vertices, then the load in the cell at vertex j; both are linear. A stress is in equilibrium with
+its loading: the load is minus its divergence.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations, permutations
@@ -17,9 +22,10 @@ from mpi4py import MPI
 import numpy as np
 
 import basix
+from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
-from dolfinx_tresca._base.compat import geometry_dofmap
+from dolfinx_tresca._base.compat import geometry_degree, geometry_dofmap
 from dolfinx_tresca._base.parallel import summed_at_nodes
 from dolfinx_tresca.errors import InputError
 
@@ -33,6 +39,7 @@ TRACE = {2: 1.522, 3: 4.473}
 QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 
 
+@cache
 def mean_products(corners: int, factors: int) -> Array:
     """Return the means over a simplex of products of barycentric coordinates.
 
@@ -52,38 +59,40 @@ def mean_products(corners: int, factors: int) -> Array:
     return result
 
 
-def basis_nodes(corners: int, degree: int) -> Array:
-    """Return the barycentric coordinates (k, corners) of the nodes of Lagrange's basis.
+def pair_means(values: Array) -> Array:
+    """Return the means (..., k, k, c) of the values (..., k, c) at each two vertices."""
+    return np.asarray(0.5 * (values[..., :, None, :] + values[..., None, :, :]))
 
-    The nodes are the vertices, and for degree 2 the midpoints of the edges in the order of
-    `combinations`.
+
+def bernstein(values: Array) -> Array:
+    """Return Bernstein's coefficients C (..., k, k, c) of quadratic functions on simplices.
+
+    A function is the sum of C_ij lambda_i lambda_j, and between its least and largest coefficient.
+
+    Args:
+        values: (..., k, k, c) values; the mean of (i, j) and (j, i) is that in the middle between
+            the vertices i and j.
     """
-    unit = np.eye(corners)
-    i, j = np.triu_indices(corners, 1)
-    return unit if degree == 1 else np.vstack([unit, 0.5 * (unit[i] + unit[j])])
-
-
-def basis_products(corners: int, degree: int) -> Array:
-    """Return matrices A_k (k, corners, corners) of Lagrange's basis of degree 1 or 2.
-
-    The basis function k, of the node k of `basis_nodes`, is the sum of A_k[i, j] lambda_i lambda_j.
-    """
-    unit = np.eye(corners)
-    linear = 0.5 * (unit[:, :, None] + unit[:, None])
-    if degree == 1:
-        return linear
-    i, j = np.triu_indices(corners, 1)
-    edges = unit[i][:, :, None] * unit[j][:, None]
-    vertices = 2.0 * unit[:, :, None] * unit[:, None] - linear
-    return np.concatenate([vertices, 2.0 * (edges + np.swapaxes(edges, 1, 2))])
+    corners = np.einsum("...iic->...ic", values)
+    return np.asarray(values + np.swapaxes(values, -3, -2) - pair_means(corners))
 
 
 @cache
-def basis_means(corners: int, degree: int) -> Array:
-    """Return the means (k, k) over a simplex of products of two of Lagrange's basis functions."""
-    basis = basis_products(corners, degree)
-    means = mean_products(corners, 4)
-    return np.asarray(np.einsum("pab,qcd,abcd->pq", basis, basis, means, optimize=True))
+def lagrange(corners: int) -> tuple[Array, Array, Array]:
+    """Return Lagrange's basis of degree 2 on a simplex, with a node for each two vertices i <= j.
+
+    Nodes are in the order of `triu_indices`, in the middle between both vertices.
+
+    Returns:
+        the barycentric coordinates (k, corners) of the nodes, `bernstein`'s coefficients (corners,
+        corners, k) of the basis, and the means (k, k) of products of two basis functions.
+    """
+    i, j = np.triu_indices(corners)
+    values = np.zeros((corners, corners, len(i)))
+    values[i, j, range(len(i))] = values[j, i, range(len(i))] = 1.0
+    basis = bernstein(values)
+    means = np.einsum("abp,cdq,abcd->pq", basis, basis, mean_products(corners, 4), optimize=True)
+    return pair_means(np.eye(corners))[i, j], basis, means
 
 
 def opposite(d: int) -> Indices:
@@ -148,20 +157,30 @@ class Simplices:
         """(n, d + 1, d) outward unit normals of the facets."""
         return -self.gradients * self.heights[:, :, None]
 
-    def facet_forces(self, tractions: Array) -> Array:
-        """Return the resultants (n, d + 1, d) at the vertices of tractions (n, d + 1, d, d).
+    def terms(self, loading: Array) -> Iterator[tuple[Indices, Array, Array]]:
+        """Yield vertices (k,), sizes (n,) and a view (n, k, d) of each term of a loading.
 
-        A linear displacement does the work of its values at the vertices times these forces.
+        They are those of the cells, then of each facet.
         """
-        forces = self.areas[:, :, None, None] * (mean_products(self.d, 2) @ tractions)
-        result = np.zeros_like(self.points)
+        yield np.arange(self.d + 1), self.volumes, loading[:, :, self.d]
         for j, vertices in enumerate(opposite(self.d)):
-            result[:, vertices] += forces[:, j]
+            yield vertices, self.areas[:, j], loading[:, j, : self.d]
+
+    def resultants(self, loading: Array) -> Array:
+        """Return the forces (n, d + 1, d) at the vertices that do the work of a loading.
+
+        Their work on a linear displacement is that of its values at the vertices.
+        """
+        result = np.zeros_like(self.points)
+        for vertices, sizes, values in self.terms(loading):
+            means = mean_products(len(vertices), 2) @ values
+            result[:, vertices] += sizes[:, None, None] * means
         return result
 
-    def volume_forces(self, load: Array) -> Array:
-        """Return the resultants (n, d + 1, d) at the vertices of a linear load there."""
-        return np.asarray(self.volumes[:, None, None] * (mean_products(self.d + 1, 2) @ load))
+    def internal_forces(self, stress: Array) -> Array:
+        """Return the forces (n, d + 1, d) at vertices of linear stresses (n, d + 1, d, d) there."""
+        means = self.volumes[:, None, None] * stress.mean(axis=1)
+        return np.asarray(self.gradients @ np.swapaxes(means, 1, 2))
 
     @cached_property
     def stretches(self) -> Array:
@@ -189,6 +208,19 @@ class Simplices:
         ratios = self.areas / (factorial(self.d) * self.volumes[:, None])
         return np.asarray(self.stretches[:, None] * np.sqrt(ratios) * TRACE[self.d])
 
+    @property
+    def quadratic_ratio(self) -> float:
+        """The ratio of the bounds `trace_factors` of quadratic functions to those of all."""
+        return QUADRATIC_TRACE[self.d] / TRACE[self.d]
+
+    def loading_of(self, stress: Array) -> Array:
+        """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
+        d = self.d
+        tractions = np.einsum("njkab,njb->njka", stress[:, opposite(d)], self.normals)
+        divergence = np.einsum("nkab,nkb->na", stress, self.gradients)[:, None, None]
+        load = np.broadcast_to(-divergence, (len(stress), d + 1, 1, d))
+        return np.concatenate([tractions, load], axis=2)
+
 
 @cache
 def symmetric_basis(d: int) -> Array:
@@ -211,71 +243,54 @@ def stress_products(d: int) -> Array:
 
     The simplex is divided by its centroid into d + 1 subcells, as in the element of Johnson and
     Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the vertices
-    of the simplex without vertex i, and the centroid. Here stresses are symmetric, quadratic in
-    each subcell, and have continuous tractions between subcells. For all linear tractions on the
-    facets and all linear divergences that balance each other in force and moment there is such a
-    stress; of all, that of the least norm is taken. It depends linearly on these data, and
-    reproduces linear stresses.
+    of the simplex, with the centroid in place of vertex i. Here stresses are symmetric, quadratic
+    in each subcell, and have continuous tractions between subcells. For each loading in equilibrium
+    there is such a stress; of all, that of the least norm is taken. It depends linearly on the
+    loading, and reproduces linear stresses.
 
     Returns:
-        (nsym (nsym + 1) / 2, m, m) means over the simplex of products of two components of stresses
-        in `symmetric_basis`, in the order of `triu_indices`, twice if the components differ. The m
-        data are (facet i, vertex of this facet, component) S grad lambda_i with the stress S, then
-        (vertex, component) the divergence.
+        (nsym, nsym, m, m) means over the simplex of products of two components of stresses in
+        `symmetric_basis`. The m data are the entries of the loading, with tractions S grad lambda_j
+        of the stress S.
     """
     n, basis = d + 1, symmetric_basis(d)
-    nsym = len(basis)
-    nodal = basis_products(n, 2)
-    size = len(nodal)
-    places = basis_nodes(n, 2)
-    mass = basis_means(n, 2) / n
-
-    # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean; vertex i
-    # of subcell i is the centroid
-    root = np.linalg.inv(np.linalg.cholesky(mass)).T
+    places, shapes, means = lagrange(n)
+    size, nsym = len(places), len(basis)
+    # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
+    root = np.linalg.inv(np.linalg.cholesky(means / n)).T
     unknown = np.eye(n * size * nsym).reshape(n, size, nsym, -1)
-    scaled = np.einsum("pq,iqaz->ipaz", root, unknown)
-    stress = np.einsum("ipaz,akl->ipklz", scaled, basis)
+    stress = np.einsum("pq,iqaz,akl->ipklz", root, unknown, basis, optimize=True)
+    loading = np.eye(n * n * d).reshape(n, n, d, -1)
     inner = np.linalg.inv(_regular_frame(d))
     gradients = np.vstack([-inner.sum(axis=0), inner])
-    data = np.eye(n * d * d + n * d).reshape(n * d + n, d, -1)
-    tractions = data[: n * d].reshape(n, d, d, -1)
+    corners = np.tile(np.eye(n), (n, 1, 1))  # of the subcells, in barycentric coordinates
+    corners[range(n), range(n)] = 1.0 / n
+    points = (places @ corners).reshape(-1, n).round(9)
+    numbers = np.unique(points, axis=0, return_inverse=True)[1].reshape(n, size)
     equations, right = [], []
     for i, vertices in enumerate(opposite(d)):
-        on_facet = [p for p in range(size) if places[p, i] == 0.0]
+        on_facet = places[:, i] == 0.0
         equations.append(np.einsum("pklz,l->pkz", stress[i, on_facet], gradients[i]))
-        right.append(np.einsum("pj,jkz->pkz", places[on_facet][:, vertices], tractions[i]))
-        slopes = gradients - gradients[i]
-        slopes[i] = n * gradients[i]
-        derivatives = 2.0 * np.einsum("pab,bl->pal", nodal, slopes)  # at vertices a
-        equations.append(np.einsum("pklz,pal->akz", stress[i], derivatives))
-        corners = np.eye(n)
-        corners[i] = 1.0 / n
-        right.append(np.einsum("aj,jkz->akz", corners, data[n * d :]))
+        right.append(np.tensordot(places[on_facet][:, vertices], loading[i, :d], axes=1))
+        slopes = np.linalg.solve(corners[i].T, gradients)
+        divergence = 2.0 * np.einsum("abp,pklz,bl->akz", shapes, stress[i], slopes, optimize=True)
+        equations.append(-divergence)  # at vertices a
+        right.append(np.tensordot(corners[i], loading[:, d], axes=1))
         for j in range(i):
-            # nodes on the common facet: vertex i of subcell i is vertex j of subcell j
-            exchanged = places.copy()
-            exchanged[:, [i, j]] = exchanged[:, [j, i]]
-            common = [p for p in range(size) if places[p, j] == 0.0]
-            twins = [int(np.argmin(np.abs(exchanged - places[p]).sum(axis=1))) for p in common]
-            jump = stress[i, common] - stress[j, twins]
+            _, ours, theirs = np.intersect1d(numbers[i], numbers[j], return_indices=True)
+            jump = stress[i, ours] - stress[j, theirs]
             equations.append(np.einsum("pklz,l->pkz", jump, gradients[i] - gradients[j]))
-            right.append(np.zeros((len(common), d, data.shape[2])))
+            right.append(np.zeros((len(ours), d, n * n * d)))
     matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
     least = least.reshape(n * size, nsym, -1)  # orthonormal at the nodes of each subcell
-    rows, columns = np.triu_indices(nsym)
-    products = np.einsum("pax,pby->abxy", least, least, optimize=True)
-    products = products[rows, columns] + products[columns, rows]
-    products[rows == columns] *= 0.5
-    return np.asarray(products)
+    return np.asarray(np.einsum("pax,pby->abxy", least, least, optimize=True))
 
 
 class StressEnergies:
-    """The energies of stresses in cells, as quadratic functions of their data.
+    """Squared norms of the stresses of the element, as quadratic functions of their loadings.
 
-    The data are arrays (n, (d + 1)(d + 1), d): tractions on facets at their vertices, facet by
-    facet, then the divergence at the vertices. They must be in equilibrium.
+    The loadings must be in equilibrium. A squared norm is twice the complementary energy.
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
@@ -286,105 +301,81 @@ class StressEnergies:
             compliance: (n, nsym, nsym) the inverse of the elasticity tensor in
                 `symmetric_basis`.
         """
-        d, self.cells = cells.d, cells
+        d = cells.d
         basis, products = symmetric_basis(d), stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
-        self.count = d * (d + 1)  # of tractions
-        inner = np.swapaxes(np.linalg.inv(frames), 1, 2)
-        scales = np.ones((len(frames), self.count + d + 1))
-        scales[:, : self.count] = np.repeat(-1.0 / cells.heights, d, axis=1)
-        self._to_reference, self._scales = inner, scales[:, :, None]
-        # the stress is B S B' with the reference stress S
+        # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
+        # with tractions S grad lambda_j
+        self._to_reference = np.swapaxes(np.linalg.inv(frames), 1, 2)
+        scales = np.ones((*cells.heights.shape, d + 1))
+        scales[:, :, :d] = -1.0 / cells.heights[:, :, None]
+        self._scales = scales.reshape(len(frames), -1, 1)
         stresses = frames[:, None] @ basis @ np.swapaxes(frames, 1, 2)[:, None]
         rows = np.tensordot(stresses, basis, axes=([2, 3], [1, 2]))
         pulled = rows @ compliance @ np.swapaxes(rows, 1, 2) * cells.volumes[:, None, None]
-        i, j = np.triu_indices(len(basis))
-        matrices = pulled[:, i, j] @ products.reshape(len(i), -1)
-        self._matrices = matrices.reshape(len(frames), *products.shape[1:])
+        matrices = pulled.reshape(len(frames), -1) @ products.reshape(len(basis) ** 2, -1)
+        self._matrices = matrices.reshape(len(frames), *products.shape[2:])
 
-    def derivative(self, data: Array) -> Array:
-        """Return half the derivative (n, k, d) of the energy; data may be tractions alone."""
-        k = data.shape[1]
-        reference = (data @ self._to_reference) * self._scales[:, :k]
-        size = k * self.cells.d
-        products = self._matrices[:, :size, :size] @ reference.reshape(-1, size, 1)
-        products = products.reshape(reference.shape) * self._scales[:, :k]
-        return np.asarray(products @ np.swapaxes(self._to_reference, 1, 2))
+    def derivative(self, loading: Array) -> Array:
+        """Return half the derivative (n, d + 1, d + 1, d) of the squared norms."""
+        n, *_, d = loading.shape
+        reference = loading.reshape(n, -1, d) @ self._to_reference * self._scales
+        products = (self._matrices @ reference.reshape(n, -1, 1)).reshape(n, -1, d) * self._scales
+        derivative = products @ np.swapaxes(self._to_reference, 1, 2)
+        return np.asarray(derivative.reshape(loading.shape))
 
-    def squared_norms(self, data: Array) -> Array:
-        """Return the squared norms (n,) of stresses, twice the complementary energy."""
-        return np.asarray((data * self.derivative(data)).sum(axis=(1, 2)))
+    def squared_norms(self, loading: Array) -> Array:
+        """Return the squared norms (n,) of the stresses with a loading."""
+        return np.asarray((loading * self.derivative(loading)).sum(axis=(1, 2, 3)))
 
-    def facet_stiffness(self) -> Array:
-        """Return matrices (n, d + 1, d * d, d * d): the energies of tractions on each facet."""
+    def of_facets(self) -> Array:
+        """Return the matrices (n, d + 1, d * d, d * d) of tractions on each facet alone."""
         n, d, _ = self._to_reference.shape
-        turn = np.einsum("kl,nab->nkalb", np.eye(d), self._to_reference).reshape(n, d * d, d * d)
-        facets = [slice(j * d * d, (j + 1) * d * d) for j in range(d + 1)]
-        blocks = np.stack([self._matrices[:, facet, facet] for facet in facets], axis=1)
-        blocks = turn[:, None] @ blocks @ np.swapaxes(turn, 1, 2)[:, None]
-        return np.asarray(blocks / np.square(self.cells.heights)[:, :, None, None])
-
-
-def stress_data(cells: Simplices, stress: Array) -> Array:
-    """Return the data of linear stresses (n, d + 1, d, d) at the vertices, see `StressEnergies`."""
-    n, d = len(stress), cells.d
-    tractions = np.einsum("njkab,njb->njka", stress[:, opposite(d)], cells.normals)
-    divergence = np.einsum("nkab,nkb->na", stress, cells.gradients)
-    both = [tractions.reshape(n, -1, d), np.repeat(divergence[:, None], d + 1, axis=1)]
-    return np.concatenate(both, axis=1)
+        shape = n, d + 1, d * d, d * d
+        blocks = self._matrices.reshape(n, d + 1, (d + 1) * d, d + 1, (d + 1) * d)
+        blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
+        for _ in range(2):  # rows, then columns
+            blocks = self._to_reference[:, None, None] @ blocks.reshape(n, d + 1, d, d, d * d)
+            blocks = np.swapaxes(blocks.reshape(shape), 2, 3)
+        return np.asarray(blocks * np.square(self._scales[:, :: d + 1, :, None]))
 
 
 @dataclass(frozen=True)
-class OwnedCells:
+class MeshCells(Simplices):
     """The cells that this rank owns, with vertices in ascending order of their global numbers.
 
     Attributes:
         V: the space of the displacement.
-        cells: the cells.
-        order: (n, k) numbers of the vertices in DOLFINx's cells, then of the middles of the edges
-            in the order of `basis_nodes`.
+        quadratics: the space of vectors that are quadratic in cells.
+        dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.
         vertices: (n, d + 1) global numbers of the vertices.
         facets: (n, d + 1) numbers on this rank of the facets.
-        nodes: (n, k) nodes of the displacement on this rank, in the order of `order`.
+        nodes: (n, d + 1, d + 1) nodes of V on this rank, whose displacements are as in `bernstein`:
+            for degree 1 at vertex i, for degree 2 in the middle between the vertices i and j.
     """
 
     V: Any
-    cells: Simplices
-    order: Indices
+    quadratics: Any
+    dofs: Indices
     vertices: GlobalNumbers
     facets: Indices
     nodes: Indices
 
-    @cached_property
-    def basis(self) -> Array:
-        """The basis functions at `nodes`, see `basis_products`."""
-        return basis_products(self.cells.d + 1, self.V.element.basix_element.degree)
-
-    @cached_property
-    def on_facets(self) -> Indices:
-        """(d + 1, k) positions in `nodes` of the nodes on each facet, vertices before edges."""
-        places = basis_nodes(self.cells.d + 1, self.V.element.basix_element.degree)
-        return np.array([np.flatnonzero(place == 0.0) for place in places.T])
-
-    def nodal_forces(self, load: Array, traction: Array) -> Array:
-        """Return the forces (nodes, d) of linear loads and tractions. Collective.
-
-        Args:
-            load: (n, d + 1, d) loads at the vertices.
-            traction: (n, d + 1, d, d) tractions on facets at their vertices.
-        """
-        cells, forces = self.cells, np.zeros((*self.nodes.shape, self.cells.d))
-        terms = [(np.arange(cells.d + 1), cells.volumes, load)]
-        terms += zip(opposite(cells.d), cells.areas.T, np.moveaxis(traction, 1, 0), strict=True)
-        for ends, sizes, values in terms:
-            basis = self.basis[:, ends][:, :, ends]
-            weights = np.einsum("kab,abc->kc", basis, mean_products(len(ends), 3))
-            forces += sizes[:, None, None] * (weights @ values)
-        return summed_at_nodes(self.V.dofmap.index_map, self.nodes, forces)
-
     @classmethod
-    def from_space(cls, V: Any) -> OwnedCells:
-        """Sort the vertices of the cells of a space's mesh. Collective."""
+    def from_space(cls, V: Any) -> MeshCells:
+        """Sort the vertices of the cells of a space's mesh. Collective.
+
+        Raises:
+            InputError: cells are no simplices, or are curved.
+        """
+        cell = V.mesh.topology.cell_name()
+        if cell not in ("triangle", "tetrahedron"):
+            raise InputError(
+                f"a guaranteed bound needs triangles or tetrahedra, found {cell} cells. Divide "
+                "them into simplices."
+            )
+        if geometry_degree(V.mesh) != 1:
+            raise InputError("a guaranteed bound needs cells with straight edges.")
         mesh, topology = V.mesh, V.mesh.topology
         d, count = topology.dim, topology.index_map(topology.dim).size_local
         topology.create_connectivity(d, d - 1)
@@ -394,32 +385,82 @@ class OwnedCells:
         order = np.argsort(numbers, axis=1)
         points = mesh.geometry.x[geometry_dofmap(mesh)[:count], :d]
         facets = topology.connectivity(d, d - 1).array.reshape(-1, d + 1)[:count]
-        ends = np.array(basix.topology(mesh.basix_cell())[1])
-        edges = np.zeros((d + 1, d + 1), dtype=np.intp)
-        edges[ends[:, 0], ends[:, 1]] = edges[ends[:, 1], ends[:, 0]] = np.arange(len(ends)) + d + 1
-        i, j = np.triu_indices(d + 1, 1)
-        own = np.hstack([order, edges[order[:, i], order[:, j]]])
-        nodes = V.dofmap.list[:count]
+        between = np.diag(np.arange(d + 1))
+        for edge, (i, j) in enumerate(basix.topology(mesh.basix_cell())[1], d + 1):
+            between[i, j] = between[j, i] = edge
+        pairs = between[order[:, :, None], order[:, None]]
+        nodes = pairs if V.element.basix_element.degree == 2 else order[:, :, None] + 0 * pairs
+        quadratics = fem.functionspace(mesh, ("DG", 2, (d,)))
+        cell, (i, j) = np.arange(count), np.triu_indices(d + 1)
         return cls(
+            points=np.take_along_axis(points, order[:, :, None], axis=1),
             V=V,
-            cells=Simplices(np.take_along_axis(points, order[:, :, None], axis=1)),
-            order=own,
+            quadratics=quadratics,
+            dofs=quadratics.dofmap.list[cell[:, None], pairs[:, i, j]],
             vertices=np.take_along_axis(numbers, order, axis=1),
             facets=np.take_along_axis(facets, order, axis=1),
-            nodes=np.take_along_axis(nodes, own[:, : nodes.shape[1]], axis=1),
+            nodes=V.dofmap.list[cell[:, None, None], nodes],
         )
 
+    @cached_property
+    def facet_nodes(self) -> Indices:
+        """(n, d + 1, d, d) the nodes of V on each facet, as in `nodes`."""
+        sides = opposite(self.d)
+        return self.nodes[:, sides[:, :, None], sides[:, None]]
 
-def spread(V: Any, owned: Array) -> Array:
-    """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
-    return summed_at_nodes(V.dofmap.index_map, np.arange(len(owned)), owned)
+    @cached_property
+    def signs(self) -> Array:
+        """(n, d + 1, 1, 1) 1 on one side of each facet and -1 on the other one."""
+        sides = (-1.0) ** np.arange(self.d + 1) * np.linalg.det(self.frames)[:, None]
+        return np.asarray(np.sign(sides)[:, :, None, None])
 
+    def facet_sums(self, values: Array) -> Array:
+        """Return the sums (facets, a, b) over both sides of values (n, d + 1, a, b). Collective."""
+        index_map = self.V.mesh.topology.index_map(self.d - 1)
+        rows = values.reshape(*self.facets.shape, -1)
+        return summed_at_nodes(index_map, self.facets, rows).reshape(-1, *values.shape[2:])
 
-def require(comm: MPI.Comm, holds: Any, needed: str) -> None:
-    """Check what the bound needs on all ranks. Collective.
+    def on_sides(self, tractions: Array) -> Array:
+        """Return the loading of tractions (facets, d * d), which are opposite on both sides."""
+        result = np.zeros((*self.facets.shape, self.d + 1, self.d))
+        shape = *self.facets.shape, self.d, self.d
+        result[:, :, : self.d] = self.signs * tractions[self.facets].reshape(shape)
+        return result
 
-    Raises:
-        InputError: it does not hold on a rank.
-    """
-    if not comm.allreduce(bool(holds), op=MPI.LAND):
-        raise InputError(f"a guaranteed bound needs {needed}.")
+    def nodal_forces(self, loading: Array) -> Array:
+        """Return the forces (nodes of this rank, d) of a loading. Collective."""
+        forces = np.zeros((*self.nodes.shape, self.d))
+        for vertices, sizes, values in self.terms(loading):
+            k = len(vertices)
+            means = mean_products(k, 3).reshape(-1, k) @ (sizes[:, None, None] * values)
+            forces[:, vertices[:, None], vertices] += means.reshape(-1, k, k, self.d)
+        # they do the work of `bernstein`'s coefficients
+        forces *= 2.0
+        forces -= np.eye(self.d + 1)[:, :, None] * forces.sum(axis=2, keepdims=True) / 2.0
+        return summed_at_nodes(self.V.dofmap.index_map, self.nodes, forces)
+
+    def spread(self, owned: Array) -> Array:
+        """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
+        return summed_at_nodes(self.V.dofmap.index_map, np.arange(len(owned)), owned)
+
+    def stresses(self, w: Any, stiffness: Array) -> Array:
+        """Return the stresses (n, d + 1, d, d) of a displacement at the vertices.
+
+        Args:
+            w: a Function on V.
+            stiffness: (n, nsym, nsym) the elasticity tensors in `symmetric_basis`.
+        """
+        tensors = symmetric_basis(self.d)
+        coefficients = bernstein(w.x.array.reshape(-1, self.d)[self.nodes])
+        slopes = 2.0 * np.swapaxes(coefficients, 2, 3) @ self.gradients[:, None]
+        strains = np.tensordot(slopes, tensors, axes=([2, 3], [1, 2]))
+        return np.asarray(np.tensordot(strains @ stiffness, tensors, axes=1))
+
+    def require(self, holds: Any, needed: str) -> None:
+        """Check what the bound needs on all ranks. Collective.
+
+        Raises:
+            InputError: it does not hold on a rank.
+        """
+        if not self.V.mesh.comm.allreduce(bool(holds), op=MPI.LAND):
+            raise InputError(f"a guaranteed bound needs {needed}.")

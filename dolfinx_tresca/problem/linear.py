@@ -344,7 +344,7 @@ class ContactProblem(ContactProcess):
         # differences of these solves count
         options = self.options.with_changes(rtol=SMALLEST_TOLERANCE)
         # the load of a force is balanced by the stress of `functional.w`
-        balanced = load if functional.w is None else L
+        balanced = L if functional.is_force else load
 
         def candidate(t: float) -> bound.Candidate:
             multiple.value = t

@@ -371,7 +371,7 @@ class ContactProcess(PetscOwner, Tabulated):
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._contact.solution_for("the value of a goal")
         jump = solved.dual.jump
-        return goals.value_of(goal, jump, solved.multipliers, jump.of_displacement(solved.fields.u))
+        return goals.value_of(goal, solved.multipliers, jump, jump.of_displacement(solved.fields.u))
 
     @collective(comm_of_self)
     def gradient(

@@ -95,7 +95,7 @@ class TangentSystem(LinearSystem):
         self.added: PETSc.Mat | None = None
         self.added_forces: Array | None = None
         self.fraction = 1.0
-        self._tangent = self.K
+        self._tangent = self.K  # without what is `added`, then another matrix than K
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
         self._initial_residual: Array = np.zeros(len(self.prescribed))
 

@@ -286,10 +286,11 @@ class LinearSystem(PetscOwner):
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
-        """Return a(u, u) / 2 [energy], for the coefficients with which K was assembled. Collective.
+        """Return the strain energy of u [energy], with the K that was assembled last. Collective.
 
-        In a mixed space, where K is (A, B'; B, -C), it is (v'A v + q'C q) / 2 for the displacement
-        v and the other unknowns q. u has the prescribed values.
+        It is a(u, u) / 2 if u is a displacement. In a mixed space, where K is (A, B'; B, -C), it is
+        (v'A v + q'C q) / 2 for the displacement v and the other unknowns q, while a(u, u) has the
+        term - q'C q. u has the prescribed values.
         """
         # only displacements have nonzero prescribed values
         forces = self.forces_of(u.array[self.prescribed]).array

@@ -14,13 +14,10 @@ from dolfinx_tresca.guaranteed.cells import (
     TRACE,
     Simplices,
     StressEnergies,
-    basis_means,
-    basis_nodes,
-    basis_products,
+    lagrange,
     mean_products,
     opposite,
     rigid_motions,
-    stress_data,
 )
 
 SHAPES = {
@@ -54,7 +51,7 @@ class DividedSimplex:
 
     def __init__(self, d: int, k: int) -> None:
         self.k, self.cells = k, Simplices(divided(d, k))
-        n, self.count = k**d, d * (d + 1)
+        n = k**d
         assert len(self.cells.points) == n
         keys, self.dofs = {}, np.zeros((n, d + 1, d, d), dtype=int)
         self.signs, facets = np.ones((n, d + 1, 1, 1)), np.empty((n, d + 1), dtype=int)
@@ -74,26 +71,18 @@ class DividedSimplex:
         """The energy of tractions and loads, and the forces and moments of all cells."""
         n, d = len(self.cells.points), self.cells.d
         total = self.size + n * (d + 1) * d
-        data = np.zeros((total, n, self.count + d + 1, d))
-        cell = np.arange(n)[:, None, None]
-        where = np.arange(self.count).reshape(1, self.count, 1), np.arange(d)
-        dofs = self.dofs.reshape(n, self.count, d)
-        signs = np.broadcast_to(self.signs, self.dofs.shape).reshape(dofs.shape)
-        data[dofs, cell, where[0], where[1]] = signs
+        loadings = np.zeros((total, n, d + 1, d + 1, d))
+        cell, facet, vertex, axis = np.indices((n, d + 1, d, d), sparse=True)
+        loadings[self.dofs, cell, facet, vertex, axis] = self.signs
+        cell, vertex, axis = np.indices((n, d + 1, d), sparse=True)
         loads = np.arange(self.size, total).reshape(n, d + 1, d)
-        data[loads, cell, np.arange(self.count, self.count + d + 1)[:, None], np.arange(d)] = 1.0
+        loadings[loads, cell, vertex, d, axis] = -1.0
         energies = StressEnergies(self.cells, identity(d, n))
-        derivatives = np.stack([energies.derivative(x) for x in data]).reshape(total, -1)
+        derivatives = np.stack([energies.derivative(x) for x in loadings]).reshape(total, -1)
         motions = rigid_motions(self.cells.points)
-        forces = np.stack(
-            [
-                self.cells.facet_forces(x[:, : self.count].reshape(n, d + 1, d, d))
-                - self.cells.volume_forces(x[:, self.count :])
-                for x in data
-            ]
-        )
+        forces = np.stack([self.cells.resultants(x) for x in loadings])
         balance = np.einsum("nrkd,xnkd->nrx", motions, forces, optimize=True)
-        return derivatives @ data.reshape(total, -1).T, balance.reshape(-1, total)
+        return derivatives @ loadings.reshape(total, -1).T, balance.reshape(-1, total)
 
     @cached_property
     def whole(self) -> Simplices:
@@ -143,7 +132,7 @@ class DividedSimplex:
         """
         d, whole = self.cells.d, self.whole
         facets, given = self.facets(side)
-        mass, linear = basis_means(d, 2), basis_nodes(d, 2)
+        linear, basis, mass = lagrange(d)
         _, _, right = np.linalg.svd(linear.T @ mass)
         loads = right[d:].T
         norms = whole.areas[0, side] * loads.T @ mass @ loads
@@ -151,7 +140,7 @@ class DividedSimplex:
         offsets = self.facet_points[facets] - whole.points[0, side]
         places = np.delete(offsets @ whole.gradients[0].T, side, axis=2)  # barycentric coordinates
         nodes = linear @ places
-        values = np.einsum("kab,fna,fnb->fnk", basis_products(d, 2), nodes, nodes) @ loads
+        values = np.einsum("abk,fna,fnb->fnk", basis, nodes, nodes) @ loads
         linear_parts = np.linalg.solve(linear.T @ mass @ linear, linear.T @ mass @ values)
         # what is not balanced is quadratic on each part, and as large on all of them
         lacking = values - linear @ linear_parts
@@ -281,7 +270,7 @@ def test_constants_exceed_the_ratios_of_polynomials(shape):
         there, _ = polynomials(on_facet, degree)
         assert ratio(there, on_facet, its_weights) <= cell.trace_factors[0, j]
         quadratic = ratio(nearest(there, on_facet, its_weights, 2), on_facet, its_weights)
-        assert quadratic <= cell.trace_factors[0, j] * QUADRATIC_TRACE[d] / TRACE[d]
+        assert quadratic <= cell.trace_factors[0, j] * cell.quadratic_ratio
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -293,7 +282,7 @@ def test_linear_stresses_are_in_the_element(d):
     linear = rng.standard_normal((5, d + 1, d, d))
     linear += np.swapaxes(linear, 2, 3)
     squares = np.einsum("kl,nkab,nlab->n", mean_products(d + 1, 2), linear, linear)
-    assert np.allclose(energies.squared_norms(stress_data(cells, linear)), squares * cells.volumes)
+    assert np.allclose(energies.squared_norms(cells.loading_of(linear)), squares * cells.volumes)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -301,17 +290,17 @@ def test_stresses_of_the_element_do_the_work_of_their_data(d):
     """For a linear displacement w: the integral of s : grad w, by tractions and divergence."""
     rng = np.random.default_rng(d)
     cells = Simplices(rng.standard_normal((1, d + 1, d)))
-    energies, count = StressEnergies(cells, identity(d, 1)), d * (d + 1)
-    motions = rigid_motions(cells.points)
-    tractions = rng.standard_normal((1, d + 1, d, d))
+    energies, motions = StressEnergies(cells, identity(d, 1)), rigid_motions(cells.points)
+    loading = np.zeros((1, d + 1, d + 1, d))
+    loading[:, :, :d] = rng.standard_normal((1, d + 1, d, d))
     # a load in equilibrium with the tractions
-    loads = np.eye((d + 1) * d).reshape(-1, 1, d + 1, d)
-    columns = [np.einsum("nrkd,nkd->r", motions, cells.volume_forces(load)) for load in loads]
-    right = np.einsum("nrkd,nkd->r", motions, cells.facet_forces(tractions))
-    load = np.linalg.lstsq(np.column_stack(columns), -right, rcond=None)[0].reshape(1, d + 1, d)
-    data = np.concatenate([tractions.reshape(1, count, d), -load], axis=1)
+    loads = np.zeros(((d + 1) * d, *loading.shape))
+    loads[:, 0, :, d] = np.eye(len(loads)).reshape(-1, d + 1, d)
+    columns = [np.einsum("nrkd,nkd->r", motions, cells.resultants(load)) for load in loads]
+    right = np.einsum("nrkd,nkd->r", motions, cells.resultants(loading))
+    size = np.linalg.lstsq(np.column_stack(columns), -right, rcond=None)[0]
+    loading += np.tensordot(size, loads, axes=1)
     slope = rng.standard_normal((d, d))
-    w = cells.points @ slope.T
-    work = ((cells.facet_forces(tractions) + cells.volume_forces(load)) * w).sum()
-    strain = stress_data(cells, np.broadcast_to(0.5 * (slope + slope.T), (1, d + 1, d, d)))
-    assert np.isclose((strain * energies.derivative(data)).sum(), work)
+    work = (cells.resultants(loading) * (cells.points @ slope.T)).sum()
+    strain = cells.loading_of(np.broadcast_to(0.5 * (slope + slope.T), (1, d + 1, d, d)))
+    assert np.isclose((strain * energies.derivative(loading)).sum(), work)

@@ -55,8 +55,9 @@ RTOL, RTOL_OF_TINY = 1e-7, 1e-4
 #: pressures settle, and to which part they do.
 HOLDING, FARTHER, SWEEPS, SETTLED = 1e-5, 30.0, 60, 1e-6
 
-#: How an iteration ends that finds no solution under Coulomb's law, and how many of fifty scenes
-#: may end so though no body slides away: of a thousand two do, whose bodies slide on soft springs.
+#: How an iteration ends that finds no solution, and how many of fifty scenes may end so though
+#: there is one. With Coulomb's law two of a thousand do, whose bodies slide on soft springs; with
+#: given slip bounds scene 528 does at 0.9 of its limit load.
 MISSES, MISSED = (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED), 1
 
 #: How an iteration ends that finds a solution. Loads are random: some turn bodies on soft springs
@@ -351,9 +352,12 @@ class Conic:
         return float(np.sqrt(max((u - v) @ self.K @ (u - v), 0.0) / (v @ self.K @ v)))
 
 
-def why_none_is_found(conic: Conic) -> str:
-    """Return in a word why Coulomb's law has no solution, or that one was missed."""
-    return "slides" if conic.slides() else "missed"
+def why_none_is_found(conic: Conic, coulomb: bool) -> str:
+    """Return in a word why Coulomb's law has no solution, or that one was missed.
+
+    With given slip bounds there is one for each load below the limit.
+    """
+    return "slides" if coulomb and conic.slides() else "missed"
 
 
 def agrees_with_a_fresh_solve(
@@ -400,12 +404,12 @@ def check(seed: int, coulomb: bool = False) -> str:
                     continue
                 rough = {"rtol": RTOL_OF_TINY} if coulomb and factor == TINY else {}
                 solution = warm.solve(**{**asked, **rough})
-                if coulomb and solution.status in MISSES:
-                    return why_none_is_found(conic)
+                if solution.status in MISSES:
+                    return why_none_is_found(conic, coulomb)
                 assert solution.status in SOLVED, (turned, factor)
                 assert factor > 0.0 or not solution.u.x.array.any()
                 if factor > TINY and not agrees_with_a_fresh_solve(scene, conic, solution, asked):
-                    return why_none_is_found(conic)
+                    return why_none_is_found(conic, coulomb)
         if not balanced:
             found.append((conic, None))
             continue
@@ -424,7 +428,7 @@ def check(seed: int, coulomb: bool = False) -> str:
 # zero, ends out of balance by 0.6 %, and must not be called solved for its small error bound.
 @pytest.mark.parametrize("seed", [0, 1, 3, 4, 29, 147, 723])
 def test_scenes_agree(seed):
-    check(seed)
+    assert check(seed) != "missed"
 
 
 # Scene 40: bodies on springs of very different stiffness, without a solution unless their
