@@ -52,7 +52,7 @@ from dolfinx_tresca import (
     solve_adaptively,
 )
 from dolfinx_tresca.dual import products as dual_products
-from dolfinx_tresca.dual.program import ElasticResponse
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.solvers import (
     iteration,
     products,
@@ -311,7 +311,7 @@ def without_near_iteration(
     problem: DualProblem, start: Point, *arguments: Any
 ) -> semismooth_newton.NewtonPoint:
     """Solve with the model of the near field once, without further products with it."""
-    store = problem.known_products()
+    store = problem.compliance.known_products()
     near = getattr(store, "near", None)
     model = store.model() if near is None else store.model(near.model())
     return semismooth_newton.newton_solution(problem, model, start)
@@ -363,9 +363,7 @@ PARTS: dict[str, Patches] = {
     "initial motions of floating bodies": [
         (NEWTON, "find_constraint_multipliers", lambda self: None)
     ],
-    "first guess of displacements": [
-        (ElasticResponse, "_guessed", lambda self, x: self._guess.load)
-    ],
+    "first guess of displacements": [(DualProgram, "_guessed", lambda self, x: self._guess.load)],
     "undecided zero": [(NaturalResidual, "zero_is_undecided", lambda self, error: False)],
 }
 

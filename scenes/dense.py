@@ -71,13 +71,8 @@ class DenseProblem(OneRank):
         self.forget()
 
     @property
-    def operator(self) -> DenseProblem:
+    def compliance(self) -> DenseProblem:
         """The problem itself, which has the methods of A."""
-        return self
-
-    @property
-    def response(self) -> DenseProblem:
-        """The problem itself, which has the methods of a response."""
         return self
 
     @property

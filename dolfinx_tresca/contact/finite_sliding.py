@@ -209,7 +209,7 @@ class FiniteSliding:
             held.x.scatter_forward()
             linear.frames = contact.frames_at(held)
             v = origin if frames is None else frames.deformation(origin)
-        w = linear.response_to_prescribed_values(contact.compliance.operator.solver, v)
+        w = linear.response_to_prescribed_values(contact.compliance.solver, v)
         w.x.array[:] += v.x.array
         w = w if linear.frames is None else linear.frames.displacement(w)
         linear.frames = frames

@@ -86,7 +86,7 @@ class LinearisedContact:
 
         Collective at the first access.
         """
-        return self.dual.response.gradient_of(self.u.x.petsc_vec)
+        return self.dual.gradient_of(self.u.x.petsc_vec)
 
     @property
     def face(self) -> Face:
@@ -196,7 +196,7 @@ class LinearisedContact:
         """
         dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
         if accuracy is None:
-            accuracy = ACCURACY[dual.operator.exact]
+            accuracy = ACCURACY[dual.compliance.exact]
         prescribed = dual.jump.system.prescribed
         v = fem.Function(dual.jump.system.V, name="adjoint" if transpose else "displacement")
         displacement = _FollowedDisplacement(dual, force, v.x.petsc_vec)
@@ -207,7 +207,7 @@ class LinearisedContact:
             missing, size = dual.equilibrium.resultants(free)
         unmet = missing
         jump_at_start = displacement.solve_start()
-        store = dual.known_products()
+        store = dual.compliance.known_products()
         model = store.model()
         maps = self._maps(model.diagonal, transpose)
         weight = 1.0 / (model.diagonal + curvature)
@@ -322,23 +322,23 @@ class _FollowedDisplacement:
             f: right-hand side, with prescribed values in their rows.
             v: vector of zeros for the result.
         """
-        self._operator, self._jump, self._f, self._v = dual.operator, dual.jump, f, v
+        self._compliance, self._jump, self._f, self._v = dual.compliance, dual.jump, f, v
         self._error = 0.0
 
     @property
     def values(self) -> Array:
         """The values of v that follow y; none with a direct solver, which ends with v."""
-        return np.zeros(0) if self._operator.exact else np.array(self._v.array)
+        return np.zeros(0) if self._compliance.exact else np.array(self._v.array)
 
     @values.setter
     def values(self, values: Array) -> None:
-        if not self._operator.exact:
+        if not self._compliance.exact:
             self._v.array = values
 
     def solve_start(self) -> Array:
         """Return B v (size,) for y = 0: one solve with K, unless f is zero. Collective."""
         if self._f.norm() > 0.0:
-            self._operator.products += 1
+            self._compliance.products += 1
             self._error = self.improve(None, self._v, STEP_ACCURACY, 0.0)
         return self._jump.of_unknowns(self._v)
 
@@ -348,7 +348,7 @@ class _FollowedDisplacement:
         if y is not None:
             force = self._jump.contact_force(y)
             force.aypx(-1.0, self._f)
-        error = self._operator.solver.improve(force, v, rtol=rtol, accuracy=accuracy)
+        error = self._compliance.solver.improve(force, v, rtol=rtol, accuracy=accuracy)
         v.array[prescribed] = self._f.array[prescribed]
         return error
 
@@ -363,9 +363,9 @@ class _FollowedDisplacement:
         Returns:
             the product, the norm sqrt(e'A^-1 e) of its error e, and the change of `values`.
         """
-        if self._operator.exact:
-            return self._operator.apply(step), 0.0, np.zeros(0)
-        self._operator.products += 1
+        if self._compliance.exact:
+            return self._compliance.apply(step), 0.0, np.zeros(0)
+        self._compliance.products += 1
         v, before = self._v.copy(), self._error
         self._error = self.improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
         product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(v)

@@ -12,22 +12,21 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 - `friction_discs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
   evaluates any field of the user at nodes.
 - `ContactCompliance`: all that follows from one K: A, near field, bound, error estimate.
-- `ElasticResponse`: the displacement for given multipliers, gradients and b, for one load.
 - `SlipHistory`: slip and dissipation of the accepted load steps.
 - `EnergyBound`: a bound of the iteration's error; `DiscretisationError` estimates the mesh's.
-- `DualProgram`: all of these together, the input of `solvers`.
+- `DualProgram`: all of these together for one load, the input of `solvers`: b, and the displacement
+  and the gradient that belong to multipliers.
 
 | symbol | name in the code | meaning |
 |---|---|---|
 | N, T, B | `JumpOperator.matrix` | normal, tangential, all jumps |
-| A | `DualOperator` in `ContactCompliance.operator` | B K^-1 B' |
-| b, d, s | `ElasticResponse.b`, `JumpOperator.gap`, `SlipHistory.origin` | as in (38.4) |
+| A | `ContactCompliance`, `compliance` | B K^-1 B' |
+| b, d, s | `DualProgram.b`, `JumpOperator.gap`, `SlipHistory.origin` | as in (38.4) |
 | lambda, x | `multipliers`, `x` | pressures and tangential tractions, scaled |
 | r | `gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
 | Lambda, g | `DualProgram.admissible`, `FeasibleSet.radius` | feasible set, slip bounds |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
 | D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
 
-Read first: `jump.JumpOperator.__init__`, `program.DualProgram`,
-`program.ElasticResponse.gradient`.
+Read first: `jump.JumpOperator.__init__`, `program.DualProgram`, `program.DualProgram.gradient`.
 """

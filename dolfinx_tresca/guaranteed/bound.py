@@ -196,7 +196,7 @@ class Bodies:
             InputError: the bound does not cover the contact pairs, or the load.
         """
         given = loads(L, self.owned, self.factors, self.linear.entity_maps)
-        at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
+        at_solution = dual.bounds(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
         surfaces = [
@@ -210,7 +210,7 @@ class Bodies:
                 given.traction[cell, facet] += tractions
         right.x.array[:] = self.owned.nodal_forces(given.load, given.traction).ravel()
         residual = self.linear.residual_of(right.x.petsc_vec, u.x.petsc_vec)
-        dual.operator.solver.improve(residual, balanced.x.petsc_vec, rtol=1e-12, accuracy=0.0)
+        dual.compliance.solver.improve(residual, balanced.x.petsc_vec, rtol=1e-12, accuracy=0.0)
         residual.destroy()
         balanced.x.scatter_forward()
         balanced.x.array[:] += u.x.array
@@ -427,7 +427,7 @@ class Functional:
             return self.w
         result, force = fem.Function(bodies.V), self.derivative.copy()
         force.x.array[: len(bodies.linear.prescribed)][bodies.linear.prescribed] = 0.0
-        solver = dual.operator.solver
+        solver = dual.compliance.solver
         solver.improve(force.x.petsc_vec, result.x.petsc_vec, rtol=0.1, accuracy=0.0)
         result.x.scatter_forward()
         return result

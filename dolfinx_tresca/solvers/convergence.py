@@ -61,7 +61,7 @@ class NaturalResidual:
         self.scale = self.norm_at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         moved = self._problem.constraints.absolute @ np.abs(self.zero.c)
-        self._terms = norm(self._problem, self._problem.response.b_terms)
+        self._terms = norm(self._problem, self._problem.b_terms)
         size = self._terms + norm(self._problem, moved)
         self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = self.scale <= self.rounding
@@ -123,7 +123,7 @@ def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float
     """
     constraints, c = problem.constraints, point.c
     soft = float(c @ constraints.softness @ c)
-    elastic = problem.response.energy_norm(point.x, point.r + constraints.columns @ c, error)
+    elastic = problem.energy_norm(point.x, point.r + constraints.columns @ c, error)
     return float(np.hypot(elastic, np.sqrt(max(soft, 0.0))))
 
 
@@ -153,7 +153,7 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
         bound: bound of the error in the energy norm [energy^(1/2)].
         norm: energy norm of the displacement [energy^(1/2)].
     """
-    if bound == 0.0 or max(bound, norm) <= problem.response.energy_resolution():
+    if bound == 0.0 or max(bound, norm) <= problem.energy_resolution():
         return 0.0
     return bound / norm if norm > 0.0 else float("inf")
 
@@ -226,7 +226,7 @@ class History:
         number = len(self.residuals) - 1
         stop = self._observe(
             Iteration(
-                number, problem.operator.products, self.residuals[-1], reached, wanted, self.q[-1]
+                number, problem.compliance.products, self.residuals[-1], reached, wanted, self.q[-1]
             )
         )
         if done:

@@ -18,7 +18,7 @@ KnownProducts: TypeAlias = ProductStore | WholeModel
 Model: TypeAlias = BlockBFGSModel | WholeModel
 
 
-class Operator(Protocol):
+class Compliance(Protocol):
     """The symmetric positive semidefinite matrix A, known by its products."""
 
     @property
@@ -32,9 +32,27 @@ class Operator(Protocol):
     def apply(self, x: Array) -> Array:
         """Return A x (size,). Collective."""
 
+    def known_products(self) -> KnownProducts:
+        """Return the store of known products; the first call may compute some. Collective."""
 
-class Response(Protocol):
-    """Jump and energy of the displacement for the present load and given multipliers."""
+    def complete_products(self) -> bool:
+        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
+
+
+class DualProblem(InnerProduct, Protocol):
+    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
+
+    If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
+    that minimises q over its own Lambda.
+    """
+
+    @property
+    def compliance(self) -> Compliance:
+        """A."""
+
+    @property
+    def b(self) -> Array:
+        """The linear term (size,)."""
 
     @property
     def b_error(self) -> float:
@@ -46,48 +64,6 @@ class Response(Protocol):
 
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K. Collective."""
-
-    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
-        """Return r = A x - b, and an estimate of its error. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
-                norm of the displacement's error. If the solver cannot reach this accuracy, e is
-                larger.
-        """
-
-    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
-
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of r in the norm of `gradient`.
-        """
-
-    def energy_resolution(self) -> float:
-        """Return the energy norm below which displacements are rounding errors. Collective."""
-
-
-class DualProblem(InnerProduct, Protocol):
-    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
-
-    If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
-    that minimises q over its own Lambda.
-    """
-
-    @property
-    def operator(self) -> Operator:
-        """A."""
-
-    @property
-    def b(self) -> Array:
-        """The linear term (size,)."""
-
-    @property
-    def response(self) -> Response:
-        """The displacement that belongs to multipliers."""
 
     @property
     def reductions(self) -> Reductions:
@@ -113,11 +89,27 @@ class DualProblem(InnerProduct, Protocol):
     def constraints(self) -> EqualityConstraints:
         """The equations that multipliers satisfy in addition to Lambda; there may be none."""
 
-    def known_products(self) -> KnownProducts:
-        """Return the store of known products; the first call may compute some. Collective."""
+    def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
+        """Return r = A x - b, and an estimate of its error. Collective.
 
-    def complete_products(self) -> bool:
-        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
+        Args:
+            x: (size,) multipliers.
+            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
+                norm of the displacement's error. If the solver cannot reach this accuracy, e is
+                larger.
+        """
+
+    def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
+        """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
+
+        Args:
+            x: (size,) multipliers in Lambda.
+            r: (size,) gradient at x.
+            error: error of r in the norm of `gradient`.
+        """
+
+    def energy_resolution(self) -> float:
+        """Return the energy norm below which displacements are rounding errors. Collective."""
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
@@ -127,7 +119,7 @@ class DualProblem(InnerProduct, Protocol):
         Args:
             x: (size,) multipliers in Lambda.
             r: (size,) gradient at x.
-            error: error of r in the norm of `Response.gradient`.
+            error: error of r in the norm of `gradient`.
         """
 
     def local_error(self, x: Array, r: Array) -> float:

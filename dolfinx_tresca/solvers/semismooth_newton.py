@@ -363,7 +363,7 @@ def solve_model(
         residual: the natural residual, with its step length.
         tolerance: requested natural residual, with the model in place of A.
     """
-    store = problem.known_products()
+    store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:
         return newton_solution(problem, store.model(), start)
     # a smaller tolerance costs no product with A, and saves some, since the model is accurate
