@@ -97,8 +97,8 @@ class DenseProblem(OneRank):
         """Keep A as the store of known products; each column counts as a product."""
         if not self.is_too_large and not isinstance(self.store, WholeModel):
             rows = np.column_stack([self.apply(unit) for unit in np.eye(len(self.b))])
-            nodes, local = row_nodes(self.admissible), 1.0 / np.diag(np.linalg.inv(self.A))
-            self.store = WholeModel(self, rows, 0, nodes, local, spsolve)
+            local = 1.0 / np.diag(np.linalg.inv(self.A))
+            self.store = WholeModel(self, rows, 0, local, spsolve)
         return not self.is_too_large
 
     def forget(self) -> None:

@@ -42,8 +42,8 @@ from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
 from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.solvers.constraints import NodalPattern, norm
-from dolfinx_tresca.solvers.feasible_set import Face, FrictionCones
+from dolfinx_tresca.solvers.constraints import norm
+from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.products import NodalMaps
 
 #: Relative error of y in the energy norm of the model of A, for estimates of errors; its square is
@@ -104,15 +104,14 @@ class LinearisedContact:
         cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
         lam = cones.section(x)
         face = lam.face(target)
-        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face.slip)[1].any())
-        if reduce_array(dual.jump.comm, float(follows)) > 0.0:
+        slope, by_slip = cones.slopes(x, face.slip)
+        if reduce_array(dual.jump.comm, float(by_slip.any())) > 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
-        change = cones.with_bound_change(x, face, np.ones_like(x))
-        matrix = NodalPattern(dual.jump.row_nodes).matrix(lambda v: change(v, v))
-        return face, lam.circle_stiffness(r, face), matrix
+        follow = cones.nodal_matrix(np.ones_like(x), (face.radial, cones.at_normals(slope)))
+        return face, lam.circle_stiffness(r, face), follow
 
     def log_edge(self) -> None:
         """Log how many nodes are about to change their state, if there are any. Collective."""
@@ -212,7 +211,7 @@ class LinearisedContact:
         maps = self._maps(model.diagonal, transpose)
         weight = 1.0 / (model.diagonal + curvature)
         root = np.sqrt(weight)
-        residual = right = maps.test(jump_at_start - offset)
+        residual = right = maps.test @ (jump_at_start - offset)
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
         terms = np.abs(jump_at_start) + np.abs(offset)
         rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
@@ -234,7 +233,7 @@ class LinearisedContact:
                 break
             product, error, change = displacement.product(point[: ends[0]], step_y, length)
             store.add(step_y, product, error)
-            image = maps.test(product + curvature * step_y - constraints.columns @ step_c)
+            image = maps.test @ (product + curvature * step_y - constraints.columns @ step_c)
             step: Array = np.concatenate([step_y, step_c, change])
             factor = 1.0
             if count == 0:
@@ -296,11 +295,7 @@ class LinearisedContact:
             return NodalMaps.on_face(cones, x, face, diagonal, curvature)
         # with the bounds of the solution, Q is zero
         maps = NodalMaps.on_face(face.discs, x, face, diagonal, curvature)
-        return replace(
-            maps,
-            test=lambda v: maps.test(change.T @ v),
-            inverse=lambda v: maps.inverse(change.T @ v),
-        )
+        return replace(maps, test=maps.test @ change.T, inverse=maps.inverse @ change.T)
 
 
 class _FollowedDisplacement:

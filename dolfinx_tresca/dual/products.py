@@ -438,7 +438,7 @@ class ContactCompliance(PetscOwner):
         """Return the model of A from this rank's rows (size, n), dense or sparse. Collective."""
         jump, start = self.jump, self.jump.matrix.getOwnershipRange()[0]
         local = np.reciprocal(self.nodal_stiffness)
-        return WholeModel(jump.reductions, rows, start, jump.row_nodes, local, _solve)
+        return WholeModel(jump.reductions, rows, start, local, _solve)
 
     def forget(self) -> None:
         """Drop all products. Not collective."""

@@ -7,12 +7,13 @@ bounds depend on pressure and slip. All functions are local to a rank.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Protocol, TypeAlias
 
 import numpy as np
-from scipy.sparse import csc_array
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
@@ -45,20 +46,14 @@ class Face:
     discs: FeasibleSet
 
     def radial_parts(self, v: Array) -> Array:
-        """Return the parts (n_discs,) or (n_discs, k) of v along the unit vectors `radial`."""
-        return self.discs.sums((v.T * self.radial).T)
+        """Return the parts (n_discs,) of v (size,) along the unit vectors `radial`."""
+        return self.discs.sums(v * self.radial)
 
     def along_radius(self, lengths: Array) -> Array:
-        """Return vectors along `radial` with the given lengths, (n_discs,) or (n_discs, k)."""
-        discs = self.discs
-        result = np.zeros((discs.size, *lengths.shape[1:]))
-        result[discs.tangential] = (lengths[discs.node].T * self.radial[discs.tangential]).T
+        """Return vectors (size,) along `radial` with the given lengths (n_discs,)."""
+        discs, result = self.discs, np.zeros(self.discs.size)
+        result[discs.tangential] = lengths[discs.node] * self.radial[discs.tangential]
         return result
-
-    def project(self, v: Array) -> Array:
-        """Return the part P v of v, (size,) or (size, k), along the face."""
-        along = (v.T * self.free).T
-        return np.asarray(along - self.along_radius(self.radial_parts(along)))
 
 
 @dataclass(frozen=True)
@@ -109,28 +104,27 @@ class FeasibleSet:
         """Return zeros (size,): slip bounds do not depend on slips."""
         return np.zeros(self.size)
 
-    def with_bound_change(
-        self, x: Array, face: Face, diagonal: Array
-    ) -> Callable[[Array, Array], Array]:
-        """Return the function (s, v) -> s: slip bounds do not change with steps s."""
-        return lambda step, v: step
+    def slopes(self, x: Array, where: Mask | bool = True) -> Array:
+        """Return zeros (2, n_discs): slip bounds change neither with pressures nor with slips."""
+        return np.zeros((2, len(self.radius)))
 
-    def dilation(self, x: Array, r: Array) -> Array:
-        """Return zeros (size,): slip bounds do not grow with pressures."""
+    def at_normals(self, values: Array) -> Array:
+        """Return zeros (size,): slip bounds depend on no normal multipliers."""
         return np.zeros(self.size)
 
-    def sums(self, v: Array) -> Array:
-        """Return the sum of the tangential entries of v in each disc, (n_discs,) or (n_discs, k).
+    def dilation(self, x: Array, r: Array) -> Array:
+        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
 
         Args:
-            v: (size,) or (size, k); the columns are summed separately.
+            x: (size,) multipliers.
+            r: (size,) gradient at x; its tangential part is minus the slip.
         """
-        entries, n = v[self.tangential], len(self.radius)
-        if v.ndim == 1:
-            return np.bincount(self.node, entries, minlength=n).astype(np.float64)
-        size = len(entries)  # stored by columns, so that `node` needs no conversion
-        total = csc_array((np.ones(size), self.node, np.arange(size + 1)), shape=(n, size))
-        return np.asarray(total @ entries)
+        return self.at_normals(self.slopes(x)[0] * self.norms(r))
+
+    def sums(self, v: Array) -> Array:
+        """Return the sums (n_discs,) of the tangential entries of v (size,) in each disc."""
+        entries, count = v[self.tangential], len(self.radius)
+        return np.bincount(self.node, entries, minlength=count).astype(np.float64)
 
     @property
     def movable(self) -> Mask:
@@ -153,11 +147,42 @@ class FeasibleSet:
         result[self.normal] = np.maximum(y[self.normal], 0.0)
         return result
 
-    def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
-        """Return the slant derivative of P_Lambda at y, (38.8): a map of (size,) or (size, k)."""
-        face = self.face(y)
-        norms = self.norms(y)
-        return lambda v: self._scale_to_radius(face.project(v), norms, where=face.slip)
+    def projection_derivative(self, y: Array) -> csr_array:
+        """Return the slant derivative (size, size) of P_Lambda at y, (38.8)."""
+        face, norms = self.face(y), self.norms(y)
+        factors = self._scale_to_radius(np.ones(self.size), norms, where=face.slip)
+        return self.nodal_matrix(factors * face.free, (-factors * face.radial, face.radial))
+
+    def nodal_matrix(self, diagonal: Array, *terms: tuple[Array, Array]) -> csr_array:
+        """Return a sparse matrix (size, size) that couples only multipliers of the same node.
+
+        Args:
+            diagonal: (size,) first term of the diagonal.
+            terms: vectors a and b (size,), of which a_i b_j is added to the entry (i, j).
+        """
+        pattern = self._pattern
+        columns, rows = pattern.indices, np.repeat(np.arange(self.size), np.diff(pattern.indptr))
+        values = np.where(rows == columns, diagonal[rows], 0.0)
+        for a, b in terms:
+            values += a[rows] * b[columns]
+        return csr_array((values, columns, pattern.indptr), shape=pattern.shape, copy=True)
+
+    @cached_property
+    def _pattern(self) -> csr_array:
+        """The sparsity (size, size) of `nodal_matrix`."""
+        size, (rows, discs) = self.size, self._rows_of_discs
+        node = np.arange(size) + len(self.radius)
+        node[rows] = discs
+        entries = np.ones(size), node, np.arange(size + 1)
+        member = csr_array(entries, shape=(size, size + len(self.radius)))
+        pattern = csr_array(member @ member.T)
+        pattern.sort_indices()
+        return pattern
+
+    @property
+    def _rows_of_discs(self) -> tuple[Indices, Indices]:
+        """The multipliers (n,) that belong to discs, and their discs (n,)."""
+        return self.tangential, self.node
 
     def face(self, y: Array) -> Face:
         """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
@@ -169,15 +194,13 @@ class FeasibleSet:
         active[self.tangential] = stick[self.node]
         free = active.copy()
         free[self.tangential] = self.movable[self.node]
-
-        radial = np.zeros(self.size)
-        factor = np.zeros_like(norms)
+        radial, factor = np.zeros(self.size), np.zeros_like(norms)
         np.divide(1.0, norms, out=factor, where=slip)
         radial[self.tangential] = y[self.tangential] * factor[self.node]
         return Face(stick, slip, active, free, radial, self)
 
     def on_face(self, v: Array, face: Face) -> Array:
-        """Return v moved to a face: open nodes to zero, slipping nodes to g times `radial`."""
+        """Return v moved to a face: open nodes to zero, slipping nodes to their circles."""
         radius = np.where(face.slip, self.radius, 0.0)  # infinity times zero is NaN
         return np.asarray(np.where(face.active, v, 0.0) + face.along_radius(radius))
 
@@ -201,23 +224,18 @@ class FeasibleSet:
         return result
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v (size,) or (size, k) with the tangential parts of each disc times a factor.
-
-        Args:
-            v: vectors.
-            factor: (n_discs,) factor for the tangential parts of each disc.
-        """
+        """Return v (size,) with its tangential parts times the factor (n_discs,) of their disc."""
         result = v.copy()
-        result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
+        result[self.tangential] *= factor[self.node]
         return result
 
     def _scale_to_radius(self, v: Array, norms: Array, where: Mask) -> Array:
-        """Return v (size,) or (size, k) with tangential parts times radius / norms.
+        """Return v (size,) with its tangential parts times radius / norms in some discs.
 
         Args:
-            v: vectors.
+            v: (size,) vector.
             norms: (n_discs,) norms by which tangential parts are divided.
-            where: (n_discs,) discs whose tangential parts change; other parts stay.
+            where: (n_discs,) discs whose tangential parts change.
         """
         factor = np.ones_like(self.radius)
         np.divide(self.radius, norms, out=factor, where=where)
@@ -376,37 +394,6 @@ class FrictionCones(FeasibleSet):
         """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
         return face.along_radius(np.zeros_like(self.radius) + self.slip)
 
-    def with_bound_change(
-        self, x: Array, face: Face, diagonal: Array
-    ) -> Callable[[Array, Array], Array]:
-        """Return the function (s, v) -> s + Q s + S v, for Newton steps.
-
-        Here s is a step along the face, and v the right-hand side of its equation: for example
-        s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
-        node's pressure to the change of its bound, along the node's tangential multiplier. S maps v
-        to the change of the bound that is due to the slip: along the multiplier, v is the change of
-        the slip for s = 0. The change of the bound itself changes the slip, by -D times the change
-        of the bound. So both maps contain the factor 1 / (1 + h D), with the derivative h of the
-        bound with respect to the slip. Both maps take arrays (size,) or (size, k).
-
-        Args:
-            x: (size,) multipliers.
-            face: face with the projector P.
-            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
-        """
-        slopes = self.slopes(x, face.slip)
-        damping = 1.0 + slopes[1] * self.disc_means(diagonal)
-        slope, by_slip = slopes / np.where(damping == 0.0, 1.0, damping)
-        follows = bool(by_slip.any())
-
-        def change(step: Array, v: Array) -> Array:
-            growth = (self._pressures(step).T * slope).T
-            if follows:
-                growth += (face.radial_parts(v).T * by_slip).T
-            return step + face.along_radius(growth)
-
-        return change
-
     def project(self, y: Array) -> Array:
         """Return the point of the set nearest to y (size,)."""
         pressure, ratio, _ = self._nearest(y)
@@ -416,28 +403,22 @@ class FrictionCones(FeasibleSet):
         result[self.normal_of[has]] = pressure[has]
         return result
 
-    def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
-        """Return a slant derivative of `project` at y: a map of (size,) or (size, k)."""
+    def projection_derivative(self, y: Array) -> csr_array:
+        """Return a slant derivative (size, size) of `project` at y."""
         _, ratio, jacobian = self._nearest(y)
-        has, t, norms = self.normal_of >= 0, self.tangential, self.norms(y)
-        direction = np.zeros_like(y)
-        direction[t] = y[t] / np.where(norms > 0.0, norms, 1.0)[self.node]
-        pressed = np.ones(self.size)
-        pressed[self.normal] = y[self.normal] > 0.0
-
-        def derivative(v: Array) -> Array:
-            if self.size == 0:  # reshape cannot infer a number of columns
-                return v
-            columns = v.reshape(self.size, -1)
-            radial = self.sums(direction[:, None] * columns)
-            pressure = np.where(has[:, None], columns[self.normal_of], 0.0)
-            result: Array = self.scaled_discs(columns * pressed[:, None], ratio)
-            moved, along = jacobian[:, 0] * pressure + jacobian[:, 1] * radial
-            result[t] += direction[t, None] * (along - ratio[:, None] * radial)[self.node]
-            result[self.normal_of[has]] = moved[has]
-            return result.reshape(v.shape)
-
-        return derivative
+        t, norms = self.tangential, self.norms(y)
+        radial, normal = np.zeros(self.size), self.at_normals(np.ones_like(norms))
+        radial[t] = y[t] / np.where(norms > 0.0, norms, 1.0)[self.node]
+        # the other terms have the parts along the pressure and along the radius
+        diagonal = self.scaled_discs(np.ones(self.size), ratio)
+        diagonal[self.normal] = y[self.normal] > 0.0
+        diagonal[normal > 0.0] = 0.0
+        jacobian[1, 1] -= ratio
+        of_pressure, of_radius = (
+            self.at_normals(by_pressure) + self.scaled_discs(radial, by_radius)
+            for by_pressure, by_radius in jacobian
+        )
+        return self.nodal_matrix(diagonal, (normal, of_pressure), (radial, of_radius))
 
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
         """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g.
@@ -455,17 +436,17 @@ class FrictionCones(FeasibleSet):
             result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
         return np.where(grows, result, 0.0)
 
-    def dilation(self, x: Array, r: Array) -> Array:
-        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x; its tangential part is minus the slip.
-        """
-        result, has = np.zeros_like(x), self.normal_of >= 0
-        opening = self.slopes(x)[0] * self.norms(r)
-        result[self.normal_of[has]] = opening[has]
+    def at_normals(self, values: Array) -> Array:
+        """Return values (n_discs,) in the rows (size,) of the pressures on which bounds depend."""
+        result, has = np.zeros(self.size), self.normal_of >= 0
+        result[self.normal_of[has]] = values[has]
         return result
+
+    @property
+    def _rows_of_discs(self) -> tuple[Indices, Indices]:
+        """The multipliers (n,) that belong to discs or to their cones, and their discs (n,)."""
+        has = np.flatnonzero(self.normal_of >= 0)
+        return np.append(self.tangential, self.normal_of[has]), np.append(self.node, has)
 
     def exceed_limit(self, x: Array) -> Mask:
         """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
@@ -488,13 +469,9 @@ class FrictionCones(FeasibleSet):
     def _pressures(self, x: Array) -> Array:
         """Return the normal multiplier on which each bound depends; 0 if there is none.
 
-        Args:
-            x: (size,) or (size, k) multipliers.
-
-        Returns:
-            (n_discs,) or (n_discs, k).
+        The result has the shape (n_discs,).
         """
-        result = np.zeros((len(self.normal_of), *x.shape[1:]))
+        result = np.zeros(len(self.normal_of))
         has = self.normal_of >= 0
         result[has] = x[self.normal_of[has]]
         return result
@@ -512,7 +489,7 @@ class FrictionCones(FeasibleSet):
         Returns:
             normal multipliers (n_discs,); norms of the tangential multipliers, divided by their
             norms before the projection (n_discs,), 1 if that norm is zero; and the derivative
-            (2, 2, n_discs, 1) of pressure and radius with respect to their values before.
+            (2, 2, n_discs) of pressure and radius with respect to their values before.
         """
         given, nodes = np.array([self._pressures(y), self.norms(y)]), np.arange(len(self.radius))
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)
@@ -535,4 +512,4 @@ class FrictionCones(FeasibleSet):
         moves = ((along > 0.0) & (along < lengths))[edge, nodes]
         direction = np.where(moves, directions[edge, :, nodes].T, 0.0)
         jacobian = np.where(inside, np.eye(2)[:, :, None], direction[:, None] * direction)
-        return pressure, ratio, jacobian[..., None]
+        return pressure, ratio, jacobian

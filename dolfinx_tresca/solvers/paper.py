@@ -35,7 +35,7 @@ def ssn(run: Run) -> DualSolution:
         derivative = run.feasible_set.projection_derivative(y)
         change = _bicgstab(
             problem,
-            lambda v: v - derivative(v - rho * problem.compliance.apply(v)),
+            lambda v: v - derivative @ (v - rho * problem.compliance.apply(v)),
             run.feasible_set.project(y) - run.x,
             rho * tolerance,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import diags_array, eye_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS, SHORT_PATIENCE
@@ -256,12 +257,9 @@ class ConvexNewton(SemismoothNewton):
         """
         constraints, z = self.problem.constraints, point.x - self.rho * (point.r + self.opening)
         derivative, settled = self.cones.projection_derivative(z), self.cones.project(z)
-        residual = point.x - settled
-        maps = NodalMaps(
-            test=derivative,
-            added=lambda v: np.asarray(((v - derivative(v)).T / self.rho).T),
-            inverse=lambda v: v,
-        )
+        residual, identity = point.x - settled, eye_array(len(z))
+        added = diags_array(1.0 / self.rho) @ (identity - derivative)
+        maps = NodalMaps(test=derivative, added=added, inverse=identity)
         change, change_c = self.model.solve_between(
             maps,
             self.model.apply(residual) - residual / self.rho,
