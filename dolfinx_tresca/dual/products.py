@@ -324,10 +324,7 @@ class ContactCompliance(PetscOwner):
     """
 
     def __init__(
-        self,
-        jump: JumpOperator,
-        solver: StiffnessSolver,
-        springs: FixingSprings | None,
+        self, jump: JumpOperator, solver: StiffnessSolver, springs: FixingSprings | None
     ) -> None:
         """Compute the data that every solve needs. Collective.
 

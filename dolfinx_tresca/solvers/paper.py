@@ -138,9 +138,7 @@ class Run:
         return self.x - self.history.residual.rho * self.r
 
     def iterate(
-        self,
-        step: Callable[[float], tuple[Array, Array]],
-        precision: Callable[[], float],
+        self, step: Callable[[float], tuple[Array, Array]], precision: Callable[[], float]
     ) -> DualSolution:
         """Take steps until a status ends the iteration, and return the solution. Collective.
 

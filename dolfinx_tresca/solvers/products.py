@@ -50,12 +50,7 @@ class NodalMaps:
 
     @classmethod
     def on_face(
-        cls,
-        cones: FeasibleSet,
-        x: Array,
-        face: Face,
-        diagonal: Array,
-        stiffness: Array,
+        cls, cones: FeasibleSet, x: Array, face: Face, diagonal: Array, stiffness: Array
     ) -> NodalMaps:
         """Return the maps for Newton steps s on a face. Not collective.
 
