@@ -219,10 +219,6 @@ class NearField(PetscOwner):
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
         """Find the nodes near the contact, and factor K there and on the coarse level. Collective.
 
-        Args:
-            jump: B.
-            solver: solver for K.
-
         Raises:
             StiffnessError: the factorisation failed.
         """

@@ -252,11 +252,6 @@ class DualProgram:
 
         Rigid displacements of bodies on soft springs are left out. The first call may need a solve
         with K, if forces act and displacements are prescribed. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x.
-            error: error of the displacement in the energy norm.
         """
         energy, jump = self._load_terms
         square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
@@ -295,23 +290,13 @@ class DualProgram:
         return max(energy, 0.0), jump  # the energy of a rigid motion is rounding
 
     def bounds(self, x: Array, r: Array) -> FeasibleSet:
-        """Return Lambda with the slip bounds at the pressures and slips of a point.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x, with the terms of the equality constraints.
-        """
+        """Return Lambda with the slip bounds at the pressures and slips of a point."""
         return self.admissible.at_point(x, r).section(x)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
 
         Here u* is the exact solution of the discrete problem.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) the gradient, computed from u.
-            error: error of r in the norm of `gradient`.
         """
         return self.compliance.certificate.energy_bound(self.bounds(x, r), x, r, error)
 
@@ -321,10 +306,6 @@ class DualProgram:
         The projection of these multipliers onto Lambda is the state that each node would take if
         the displacements of its neighbours were fixed: pressed or open, sticking or slipping. Not
         collective.
-
-        Args:
-            x: (size,) in Lambda.
-            r: (size,) gradient at x.
         """
         return x - self.compliance.nodal_stiffness * r
 
@@ -333,10 +314,6 @@ class DualProgram:
 
         If springs alone carry the loads, the exact tractions are zero. The computed tractions and
         their changes are then rounding errors of the jumps, and their ratio means nothing.
-
-        Args:
-            x: (size,) in Lambda.
-            r: (size,) gradient at x.
         """
         change, traction = self.local_change(x, r)
         offset = self.offset
@@ -351,10 +328,6 @@ class DualProgram:
         """Return the largest change of tractions from x to the nodes' own minimisers. Collective.
 
         The minimisers are the projection of `decoupled_minimiser` onto Lambda.
-
-        Args:
-            x: (size,) in Lambda.
-            r: (size,) gradient at x.
 
         Returns:
             the change and the largest traction [stress].
@@ -403,10 +376,6 @@ class DualProgram:
         A direct solver needs one solve with K, an iterative solver needs no solve, since its
         displacement is known. The estimate is zero without displacement, and infinite if the error
         cannot be estimated from the form.
-
-        Args:
-            x: (size,) multipliers.
-            c: (k,) multipliers of the constraints.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf
@@ -431,12 +400,6 @@ class DualProgram:
         D(x) = 1/2 u'K u - f'u - x'r with the gradient r = (d; s) - B u. A bound for the error of u
         is subtracted from D. All sums are over the degrees of freedom that are not prescribed. The
         work of the forces on tools is part of f'u, and their motions are part of B u.
-
-        Args:
-            x: multipliers in Lambda.
-            u: approximation of K^-1 (f - B'x).
-            c: multipliers of the constraints.
-            error: error of u in the energy norm.
         """
         system = self.jump.system
         force = system.K.createVecLeft()

@@ -67,11 +67,6 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -
     tangents. If neither tangents nor semi-axes change on this rank, up to rounding, the result is
     `pair` itself.
 
-    Args:
-        V: the space of the displacement.
-        pair: the operators of the pair.
-        bounds: the slip bounds at the nodes of the pair.
-
     Raises:
         InputError: a direction is not finite, is zero, or is normal to the surface.
     """

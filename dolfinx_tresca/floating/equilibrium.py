@@ -259,11 +259,6 @@ class FloatingBodies:
 
         Collective.
 
-        Args:
-            load: this rank's part of f, the right-hand side of K u = f - B'lambda.
-            feasible_set: Lambda.
-            reductions: object that computes sums over the ranks.
-
         Raises:
             MechanismError: neither K nor contact resists a motion, or nothing balances the loads;
                 the message names the body and its motion, and the error's `motion` has the

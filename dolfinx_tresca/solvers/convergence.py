@@ -128,13 +128,7 @@ def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float
 
 
 def energy_error(problem: DualProblem, point: Point, error: float = 0.0) -> float:
-    """Return a bound of the displacement's relative error in the energy norm. Collective.
-
-    Args:
-        problem: the dual problem (38.4).
-        point: multipliers in Lambda, with their gradient.
-        error: error of the gradient in the norm sqrt(e'A^-1 e).
-    """
+    """Return a bound of the displacement's relative error in the energy norm. Collective."""
     missing = problem.constraints.violation(point.x, point.c)
     bound = problem.energy_bound(point.x, point.r, error + missing)
     return relative_error(problem, bound, energy_norm(problem, point, error))
@@ -211,12 +205,7 @@ class History:
         self.errors: list[float] = []
 
     def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
-        """Record an iterate; return the status if the iteration ends here, else None. Collective.
-
-        Args:
-            point: multipliers in Lambda, with their gradient.
-            error: error of the gradient in the norm sqrt(e'A^-1 e).
-        """
+        """Record an iterate; return the status if the iteration ends, else None. Collective."""
         problem, residual = self._problem, self.residual
         value = residual.norm_at(point)
         self.errors.append(value)
@@ -341,9 +330,6 @@ class History:
 
         The tolerable error is small compared with the error of the multipliers, since the local
         errors of the nodes are computed from the gradient.
-
-        Args:
-            point: multipliers in Lambda, with their gradient.
         """
         problem = self._problem
         norm = energy_norm(problem, point)

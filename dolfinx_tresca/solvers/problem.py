@@ -44,6 +44,11 @@ class DualProblem(InnerProduct, Protocol):
 
     If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
     that minimises q over its own Lambda.
+
+    In all methods, and in all functions of this room, x (size,) are multipliers, c (k,) are those
+    of the constraints, and r (size,) is the gradient A x - b - G c at x; a `Point` has all three.
+    The error e of a gradient is given in the norm sqrt(e'A^-1 e), which is the energy norm of the
+    error of the displacement.
     """
 
     @property
@@ -74,12 +79,7 @@ class DualProblem(InnerProduct, Protocol):
         """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
 
     def bounds(self, x: Array, r: Array) -> FeasibleSet:
-        """Return Lambda with the slip bounds at the pressures and slips of a point.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x, with the terms of the equality constraints.
-        """
+        """Return Lambda with the slip bounds at the pressures and slips of a point."""
 
     @property
     def is_load_step(self) -> bool:
@@ -102,10 +102,7 @@ class DualProblem(InnerProduct, Protocol):
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
         """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
 
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of r in the norm of `gradient`.
+        Here r is A x - b.
         """
 
     def energy_resolution(self) -> float:
@@ -115,11 +112,6 @@ class DualProblem(InnerProduct, Protocol):
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
 
         Here u* is the displacement of the exact solution.
-
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of r in the norm of `gradient`.
         """
 
     def local_error(self, x: Array, r: Array) -> float:
@@ -127,10 +119,6 @@ class DualProblem(InnerProduct, Protocol):
 
         The local minimiser of a node minimises q with fixed displacements of its neighbours. The
         distance is relative to the largest traction of all nodes.
-
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
         """
 
     def discretisation_error(self, x: Array, c: Array) -> float:

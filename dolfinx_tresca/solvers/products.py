@@ -382,11 +382,7 @@ class ProductStore:
         return max(float(least.max()), of_near_field)
 
     def apply_with_near(self, x: Array) -> Array:
-        """Return M x (size,), with the near field D in `model`, and keep the product. Collective.
-
-        Args:
-            x: (size,) vector.
-        """
+        """Return M x (size,) with the near field D in `model`; keep the product. Collective."""
         assert self.near is not None
         new, product = self.split(x)
         image = self.apply_near(new)

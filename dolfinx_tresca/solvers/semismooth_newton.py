@@ -106,12 +106,7 @@ class SemismoothNewton:
     """
 
     def __init__(self, problem: DualProblem, model: Model) -> None:
-        """Prepare steps.
-
-        Args:
-            problem: admissible multipliers, constraints and inner product.
-            model: model M of A.
-        """
+        """Prepare steps."""
         self.problem, self.model = problem, model
         self.size = problem.admissible.mean_over_discs(model.size)
         self.rho = np.asarray(RHO_DIAGONAL / self.size)
