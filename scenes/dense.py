@@ -237,6 +237,7 @@ def random_set(rng: np.random.Generator, nodes: int) -> FeasibleSet:
         order[np.array(tangential, dtype=np.intp)],
         np.array(node, dtype=np.intp),
         radius,
+        np.full(nodes, -1),
     )
 
 
@@ -260,8 +261,7 @@ def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: floa
     rubs = rng.random(nodes)
     constant = np.where(rubs < 0.2, rng.uniform(0.0, 1.0, nodes), 0.0)
     problem.cones = FrictionCones(
-        **vars(dataclasses.replace(lam, radius=constant)),
-        normal_of=normal_of,
+        **vars(dataclasses.replace(lam, radius=constant, normal_of=normal_of)),
         coefficient=np.where(rubs < 0.9, rng.uniform(0.0, coefficient, nodes), 0.0),
         limit=np.where(rng.random(nodes) < 0.3, rng.uniform(0.0, 1.0, nodes), np.inf),
     )

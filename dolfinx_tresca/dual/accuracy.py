@@ -51,9 +51,7 @@ class Lift:
         self._compliance = nodal_compliance(jump.system)
         weighted = self._B.copy()
         weighted.diagonalScale(R=self._compliance)
-        transposed = self._B.copy().transpose()
-        local = weighted.matMult(transposed)
-        self._solver = _factored_unless_singular(local)
+        self._solver = _factored_unless_singular(weighted.matTransposeMult(self._B))
 
     def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
         """Keep K and B, and make vectors. Collective."""

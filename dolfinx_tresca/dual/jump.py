@@ -119,7 +119,9 @@ class JumpOperator(PetscOwner):
         node[has_own_disc] = count + np.arange(has_own_disc.sum())
         radius = np.full(count + has_own_disc.sum(), np.inf)
         normal = np.flatnonzero(~(is_tangential | is_bonded))
-        self.discs = FeasibleSet(len(scale), normal, tangential, node, radius)
+        normal_of = np.full(len(radius), -1)
+        normal_of[self.row_nodes[normal]] = normal
+        self.discs = FeasibleSet(len(scale), normal, tangential, node, radius, normal_of)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -169,14 +171,12 @@ class JumpOperator(PetscOwner):
         lam = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
             return lam
-        normal_of, root = np.full(count, -1), np.ones(count)
-        normal_of[self.row_nodes[lam.normal]] = lam.normal
+        root = np.ones(count)
         root[: len(self._root_areas)] = np.where(self._root_areas > 0.0, self._root_areas, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
             **vars(lam),
-            normal_of=normal_of,
             coefficient=coefficient,
             limit=limit,
             curves=NodalCurves(curves, root) if curves else None,

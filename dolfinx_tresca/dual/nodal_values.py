@@ -274,17 +274,16 @@ class NodalValues:
         if n == 0:
             return np.zeros((components, 0))
         array = np.asarray(function(self._points[nodes].T.copy()))
-        shape, kind = ((), "a real number") if components == 1 else ((3,), "a vector")
-        shapes = (shape, (components, n), (n,)) if components == 1 else (shape, (components, n))
-        if array.dtype.kind not in "biuf" or array.shape not in shapes:
-            wanted = f"({n},)" if components == 1 else f"({components}, {n})"
+        constant, wanted = ((components,), (components, n)) if components > 1 else ((), (n,))
+        kind = "a vector" if components > 1 else "a real number"
+        if array.dtype.kind not in "biuf" or array.shape not in (constant, wanted, (components, n)):
             raise InputError(
                 f"the function for {name} must return {kind}, or one for each "
                 f"point: for the {n} contact nodes of this rank it gets x of shape (3, {n}) and "
                 f"should return an array of shape {wanted}, found "
                 + (f"{array}." if array.shape == () else f"shape {array.shape} of {array.dtype}.")
             )
-        columns = array[:, None] if components == 3 and array.shape == shape else array
+        columns = array[:, None] if components > 1 and array.shape == constant else array
         values: Array = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
         return values
 

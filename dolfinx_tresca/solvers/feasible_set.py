@@ -51,9 +51,7 @@ class Face:
 
     def along_radius(self, lengths: Array) -> Array:
         """Return vectors (size,) along `radial` with the given lengths (n_discs,)."""
-        discs, result = self.discs, np.zeros(self.discs.size)
-        result[discs.tangential] = lengths[discs.node] * self.radial[discs.tangential]
-        return result
+        return self.radial * self.discs.at_tangents(lengths)
 
 
 @dataclass(frozen=True)
@@ -71,6 +69,8 @@ class FeasibleSet:
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
         radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in the units of
             lambda_tau.
+        normal_of: (n_discs,) position of the normal multiplier of the disc's node; -1: there is
+            none, or the disc is not that of the node's friction.
     """
 
     #: Whether slip bounds depend neither on pressures nor on slips, as in Tresca's law.
@@ -81,6 +81,7 @@ class FeasibleSet:
     tangential: Indices
     node: Indices
     radius: Array
+    normal_of: Indices
 
     def norms(self, v: Array) -> Array:
         """Return the norms (n_discs,) of the tangential parts of v (size,)."""
@@ -109,8 +110,16 @@ class FeasibleSet:
         return np.zeros((2, len(self.radius)))
 
     def at_normals(self, values: Array) -> Array:
-        """Return zeros (size,): slip bounds depend on no normal multipliers."""
-        return np.zeros(self.size)
+        """Return values (n_discs,) in the normal rows (size,) of their nodes, zero elsewhere."""
+        result, has = np.zeros(self.size), self.normal_of >= 0
+        result[self.normal_of[has]] = values[has]
+        return result
+
+    def at_tangents(self, values: Array) -> Array:
+        """Return values (n_discs,) in the tangential rows (size,) of the discs, zero elsewhere."""
+        result = np.zeros(self.size)
+        result[self.tangential] = values[self.node]
+        return result
 
     def dilation(self, x: Array, r: Array) -> Array:
         """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
@@ -170,19 +179,14 @@ class FeasibleSet:
     @cached_property
     def _pattern(self) -> csr_array:
         """The sparsity (size, size) of `nodal_matrix`."""
-        size, (rows, discs) = self.size, self._rows_of_discs
+        size, has = self.size, np.flatnonzero(self.normal_of >= 0)
         node = np.arange(size) + len(self.radius)
-        node[rows] = discs
+        node[self.tangential], node[self.normal_of[has]] = self.node, has
         entries = np.ones(size), node, np.arange(size + 1)
         member = csr_array(entries, shape=(size, size + len(self.radius)))
         pattern = csr_array(member @ member.T)
         pattern.sort_indices()
         return pattern
-
-    @property
-    def _rows_of_discs(self) -> tuple[Indices, Indices]:
-        """The multipliers (n,) that belong to discs, and their discs (n,)."""
-        return self.tangential, self.node
 
     def face(self, y: Array) -> Face:
         """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
@@ -194,10 +198,8 @@ class FeasibleSet:
         active[self.tangential] = stick[self.node]
         free = active.copy()
         free[self.tangential] = self.movable[self.node]
-        radial, factor = np.zeros(self.size), np.zeros_like(norms)
-        np.divide(1.0, norms, out=factor, where=slip)
-        radial[self.tangential] = y[self.tangential] * factor[self.node]
-        return Face(stick, slip, active, free, radial, self)
+        factor = np.divide(1.0, norms, out=np.zeros_like(norms), where=slip)
+        return Face(stick, slip, active, free, y * self.at_tangents(factor), self)
 
     def on_face(self, v: Array, face: Face) -> Array:
         """Return v moved to a face: open nodes to zero, slipping nodes to their circles."""
@@ -219,9 +221,7 @@ class FeasibleSet:
                 out=kappa,
                 where=face.slip,
             )
-        result = np.zeros(self.size)
-        result[self.tangential] = kappa[self.node]
-        return result
+        return self.at_tangents(kappa)
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
         """Return v (size,) with its tangential parts times the factor (n_discs,) of their disc."""
@@ -339,8 +339,6 @@ class FrictionCones(FeasibleSet):
 
     Attributes:
         radius: (n_discs,) c >= 0, maybe infinite.
-        normal_of: (n_discs,) position of the normal multiplier with which each bound grows; -1 for
-            bounds that do not depend on a pressure.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip; None: there are none.
@@ -350,7 +348,6 @@ class FrictionCones(FeasibleSet):
 
     has_given_bounds = False
 
-    normal_of: Indices
     coefficient: Array
     limit: Array
     curves: NodalCurves | None = None
@@ -388,7 +385,8 @@ class FrictionCones(FeasibleSet):
         """Return Lambda with the bounds at the pressures of x (size,)."""
         pressure = self._pressures(x)
         radius = self._bound(pressure, self._coefficients(pressure))
-        return FeasibleSet(self.size, self.normal, self.tangential, self.node, radius)
+        rows = self.size, self.normal, self.tangential, self.node
+        return FeasibleSet(*rows, radius, self.normal_of)
 
     def slip_along(self, face: Face) -> Array:
         """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
@@ -406,9 +404,9 @@ class FrictionCones(FeasibleSet):
     def projection_derivative(self, y: Array) -> csr_array:
         """Return a slant derivative (size, size) of `project` at y."""
         _, ratio, jacobian = self._nearest(y)
-        t, norms = self.tangential, self.norms(y)
-        radial, normal = np.zeros(self.size), self.at_normals(np.ones_like(norms))
-        radial[t] = y[t] / np.where(norms > 0.0, norms, 1.0)[self.node]
+        norms = self.norms(y)
+        radial = y * self.at_tangents(1.0 / np.where(norms > 0.0, norms, 1.0))
+        normal = self.at_normals(np.ones_like(norms))
         # the other terms have the parts along the pressure and along the radius
         diagonal = self.scaled_discs(np.ones(self.size), ratio)
         diagonal[self.normal] = y[self.normal] > 0.0
@@ -435,18 +433,6 @@ class FrictionCones(FeasibleSet):
         if self.curves is not None:
             result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
         return np.where(grows, result, 0.0)
-
-    def at_normals(self, values: Array) -> Array:
-        """Return values (n_discs,) in the rows (size,) of the pressures on which bounds depend."""
-        result, has = np.zeros(self.size), self.normal_of >= 0
-        result[self.normal_of[has]] = values[has]
-        return result
-
-    @property
-    def _rows_of_discs(self) -> tuple[Indices, Indices]:
-        """The multipliers (n,) that belong to discs or to their cones, and their discs (n,)."""
-        has = np.flatnonzero(self.normal_of >= 0)
-        return np.append(self.tangential, self.normal_of[has]), np.append(self.node, has)
 
     def exceed_limit(self, x: Array) -> Mask:
         """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
