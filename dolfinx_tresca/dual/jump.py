@@ -187,9 +187,6 @@ class JumpOperator(PetscOwner):
 
         The result is self if all tangents stay the same, else a new operator that the caller owns.
 
-        Args:
-            slip_bounds: for each pair the slip bounds at its nodes, with their ellipses.
-
         Raises:
             InputError: the direction that belongs to two slip bounds is not finite, is zero, or is
                 normal to the surface.

@@ -133,10 +133,7 @@ class NodalValues:
     def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values of a scalar (n,) at nodes of this rank. Collective.
 
-        Args:
-            field: the scalar, such as a slip bound or a gap.
-            nodes: (n,) local numbers of the nodes.
-            name: name of the scalar in error messages.
+        The `nodes` (n,) are local numbers; error messages call the scalar by the `name`.
 
         Raises:
             InputError: the scalar is on another mesh, or a function returns neither a number nor
@@ -211,12 +208,7 @@ class NodalValues:
     ) -> Array | None:
         """Return the derivative (n,) of nodal values for a given change of a control. Collective.
 
-        Args:
-            field: the scalar whose nodal values are differentiated.
-            control: the Constant or scalar Function that changes.
-            direction: change of the control: values for a Constant, a Function for a Function.
-            nodes: nodes of this rank at which the field is taken.
-            name: name of the field in error messages.
+        The change of a Constant is given by values, that of a Function by a Function.
 
         Returns:
             the derivative; None if the field does not depend on the control.

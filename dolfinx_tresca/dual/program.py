@@ -228,11 +228,8 @@ class DualProgram:
         of the displacements' difference: for a bound, gaps are closed by moving contact nodes
         alone, and this takes much energy if the difference is smooth and cells are flat.
 
-        Args:
-            x: (size,) multipliers.
-            u: vector for the result.
-            accuracy: largest error of u in the energy norm, without effect on a direct solver;
-                None: the accuracy in the solver's options.
+        The error of u in the energy norm is at most `accuracy`, without effect on a direct solver;
+        with None, the options of the solver determine it.
         """
         solved = self._solved
         if solved is not None and float(self.inner(x - solved[0], x - solved[0])) == 0.0:
@@ -348,10 +345,7 @@ class DualProgram:
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.
 
-        Args:
-            x: (size,) multipliers.
-            u: the displacement K^-1 (f - B'x), to which the rigid displacements are added.
-            c: (k,) multipliers of the constraints.
+        Before the call, u is K^-1 (f - B'x).
 
         Returns:
             the gradient including the term -G c of the constraints, and the energy norm of the
@@ -426,11 +420,6 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
 
     Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
-
-    Args:
-        dual: the problem.
-        x: (size,) multipliers of the solution.
-        r: (size,) gradient at x.
 
     Returns:
         numbers of normal rows between pressed and open, and of discs between stick and slip.

@@ -216,11 +216,6 @@ class SlipBounds:
         Only bounds that are plain numbers must have values that are allowed: others may change
         before a solve.
 
-        Args:
-            friction: the law of friction whose bounds are checked.
-            nodes: (n,) contact nodes of this rank.
-            stress_rounding: see `nodal_bounds`.
-
         Raises:
             InputError: the bound or the direction is on another mesh; a function returns neither a
                 number (or a vector) nor one value for each point; a direction is given in 2D; or a
@@ -248,11 +243,8 @@ class SlipBounds:
     ) -> NodalBounds:
         """Return the present bound at nodes of this rank; 0 without friction. Collective.
 
-        Args:
-            friction: the law of friction whose bound is evaluated.
-            nodes: (n,) contact nodes of this rank.
-            stress_rounding: negative values of at most this size [stress] also count as zero, even
-                if they exceed `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
+        Negative values of at most the size `stress_rounding` [stress] also count as zero, even if
+        they exceed `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is

@@ -95,11 +95,7 @@ class Tools:
     ) -> Tools:
         """Compute G. Not collective.
 
-        Args:
-            motions: the motions.
-            bodies: the bodies of the mesh.
-            by_pair: `JumpOperator.by_pair`.
-            stress_scale: `JumpOperator.stress_scale`.
+        The arguments `by_pair` and `stress_scale` are those of `JumpOperator`.
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
@@ -342,11 +338,6 @@ class FloatingBodies:
         """Return the equations, without the rounding of loads that contact cannot balance.
 
         Collective.
-
-        Args:
-            constraints: the equations.
-            factors: (k,) see `Equilibrium`.
-            feasible_set: Lambda.
 
         Raises:
             MechanismError: no contact forces balance the loads.

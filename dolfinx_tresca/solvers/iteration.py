@@ -108,12 +108,7 @@ class Iterate:
     error: float
 
     def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
-        """Begin at zero, where no product is needed.
-
-        Args:
-            problem: the dual problem (38.4), for products and gradients.
-            store: known products, to which new products are added.
-        """
+        """Begin at zero, where no product is needed."""
         self._problem, self.store, self.finest, self.learned = problem, store, 0.0, True
         self.must_descend = problem.admissible.has_given_bounds and len(problem.constraints) == 0
         self._is_exact = problem.compliance.exact
@@ -136,9 +131,7 @@ class Iterate:
     def move(self, direction: Array, c: Array) -> None:
         """Take a step, for which the product with A is computed. Collective.
 
-        Args:
-            direction: (size,) change of the multipliers.
-            c: (k,) multipliers of the constraints at the end of the step.
+        The multipliers of the constraints are c at the end of the step.
         """
         self.c = c
         if self._is_exact:
@@ -348,8 +341,7 @@ class ModelNewton:
         Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
         Collective.
 
-        Args:
-            target: newest solution of the model, at whose pressures friction may be too weak.
+        At the pressures of `target`, the newest solution of the model, friction may be too weak.
         """
         iterate, history, residual = self.iterate, self.history, self.residual
         if not self.problem.compliance.exact:

@@ -123,13 +123,8 @@ class BlockBFGSModel:
     ) -> None:
         """Update D with known products. Collective.
 
-        Args:
-            reductions: sums over the ranks.
-            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
-            W: (size, k) vectors with known products.
-            Y: (size, k) products A W, with W'Y = I.
-            base: model that takes the place of D and is not changed; its diagonal replaces
-                `diagonal`.
+        The columns of W and Y (size, k) satisfy W'Y = I. A model given as `base` takes the place of
+        D, and is not changed; its diagonal replaces `diagonal`.
         """
         self._inner, self._agreed = reductions.inner, reductions.from_first_rank
         self.diagonal: Array = diagonal if base is None else base.diagonal

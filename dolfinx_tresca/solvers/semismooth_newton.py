@@ -136,10 +136,8 @@ class SemismoothNewton:
     def step(self, point: NewtonPoint, softness: float) -> tuple[Array, Array]:
         """Return the changes of x and c by a whole Newton step from a point.
 
-        Args:
-            point: the point.
-            softness: softness that is added to S for the change of c only, as in a proximal point
-                method: solutions of the problem remain solutions.
+        The number `softness` is added to S for the change of c only, as in a proximal point method:
+        solutions of the problem remain solutions.
         """
         constraints, x, c, r = self.problem.constraints, point.x, point.c, point.r
         target = x - self.rho * r
