@@ -151,16 +151,18 @@ class FeasibleSet:
 
     def project(self, y: Array) -> Array:
         """Return P_Lambda(y), the point of the set nearest to y (size,)."""
-        norms = self.norms(y)
-        result = self._scale_to_radius(y, norms, where=norms > self.radius)
+        norms, factor = self.norms(y), np.ones_like(self.radius)
+        np.divide(self.radius, norms, out=factor, where=norms > self.radius)
+        result = self.scaled_discs(y, factor)
         result[self.normal] = np.maximum(y[self.normal], 0.0)
         return result
 
     def projection_derivative(self, y: Array) -> csr_array:
         """Return the slant derivative (size, size) of P_Lambda at y, (38.8)."""
-        face, norms = self.face(y), self.norms(y)
-        factors = self._scale_to_radius(np.ones(self.size), norms, where=face.slip)
-        return self.nodal_matrix(factors * face.free, (-factors * face.radial, face.radial))
+        face, factor = self.face(y), np.ones_like(self.radius)
+        np.divide(self.radius, self.norms(y), out=factor, where=face.slip)
+        scales = self.scaled_discs(np.ones(self.size), factor)
+        return self.nodal_matrix(scales * face.free, (-scales * face.radial, face.radial))
 
     def nodal_matrix(self, diagonal: Array, *terms: tuple[Array, Array]) -> csr_array:
         """Return a sparse matrix (size, size) that couples only multipliers of the same node.
@@ -215,12 +217,8 @@ class FeasibleSet:
         """
         kappa = np.zeros_like(self.radius)
         with np.errstate(over="ignore"):
-            np.divide(
-                np.maximum(-face.radial_parts(gradient), 0.0),
-                self.radius,
-                out=kappa,
-                where=face.slip,
-            )
+            inwards = np.maximum(-face.radial_parts(gradient), 0.0)
+            np.divide(inwards, self.radius, out=kappa, where=face.slip)
         return self.at_tangents(kappa)
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
@@ -228,18 +226,6 @@ class FeasibleSet:
         result = v.copy()
         result[self.tangential] *= factor[self.node]
         return result
-
-    def _scale_to_radius(self, v: Array, norms: Array, where: Mask) -> Array:
-        """Return v (size,) with its tangential parts times radius / norms in some discs.
-
-        Args:
-            v: (size,) vector.
-            norms: (n_discs,) norms by which tangential parts are divided.
-            where: (n_discs,) discs whose tangential parts change.
-        """
-        factor = np.ones_like(self.radius)
-        np.divide(self.radius, norms, out=factor, where=where)
-        return self.scaled_discs(v, factor)
 
 
 class Curve(Protocol):
