@@ -52,7 +52,7 @@ from dolfinx_tresca import (
     solve_adaptively,
 )
 from dolfinx_tresca.dual import products as dual_products
-from dolfinx_tresca.dual.program import ElasticResponse
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.solvers import (
     iteration,
     products,
@@ -60,7 +60,7 @@ from dolfinx_tresca.solvers import (
 )
 from dolfinx_tresca.solvers.constraints import Balance, balance
 from dolfinx_tresca.solvers.convergence import NaturalResidual
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones
+from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 from dolfinx_tresca.solvers.problem import DualProblem, Point
 from scenes import dense
 from scenes.elasticity import elasticity
@@ -311,7 +311,7 @@ def without_near_iteration(
     problem: DualProblem, start: Point, *arguments: Any
 ) -> semismooth_newton.NewtonPoint:
     """Solve with the model of the near field once, without further products with it."""
-    store = problem.known_products()
+    store = problem.compliance.known_products()
     near = getattr(store, "near", None)
     model = store.model() if near is None else store.model(near.model())
     return semismooth_newton.newton_solution(problem, model, start)
@@ -329,6 +329,14 @@ def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> Any:
     return begin_at(state, np.zeros_like(start))
 
 
+def on_face_with_given_bounds(
+    cones: FeasibleSet, x: np.ndarray, face: Face, *arguments: Any
+) -> products.NodalMaps:
+    """Return the maps of Newton steps with slip bounds that stay as they are."""
+    return on_face(face.discs, x, face, *arguments)
+
+
+on_face = products.NodalMaps.on_face
 append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
 make_store = products.ProductStore.__init__
 ITERATE, NEWTON, STORE = iteration.Iterate, iteration.ModelNewton, products.ProductStore
@@ -351,9 +359,7 @@ PARTS: dict[str, Patches] = {
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
-    "bounds that follow pressures": [
-        (FrictionCones, "with_bound_change", FeasibleSet.with_bound_change)
-    ],
+    "bounds that follow pressures": [(products.NodalMaps, "on_face", on_face_with_given_bounds)],
     "higher accuracy where it stalls": [(ITERATE, "increase_accuracy", lambda self: None)],
     "refined gradients": [(ITERATE, "refine", lambda self, accuracy: None)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
@@ -363,9 +369,7 @@ PARTS: dict[str, Patches] = {
     "initial motions of floating bodies": [
         (NEWTON, "find_constraint_multipliers", lambda self: None)
     ],
-    "first guess of displacements": [
-        (ElasticResponse, "_guessed", lambda self, x: self._guess.load)
-    ],
+    "first guess of displacements": [(DualProgram, "_guessed", lambda self, x: self._guess.load)],
     "undecided zero": [(NaturalResidual, "zero_is_undecided", lambda self, error: False)],
 }
 

@@ -52,7 +52,7 @@ def dual_program(
 
 def dense_matrix(dual: DualProgram) -> np.ndarray:
     """Return A from its products with unit vectors, for a scene on one rank."""
-    A = np.column_stack([dual.operator.apply(unit) for unit in np.eye(len(dual.b))])
+    A = np.column_stack([dual.compliance.apply(unit) for unit in np.eye(len(dual.b))])
     return 0.5 * (A + A.T)
 
 

@@ -71,13 +71,8 @@ class DenseProblem(OneRank):
         self.forget()
 
     @property
-    def operator(self) -> DenseProblem:
+    def compliance(self) -> DenseProblem:
         """The problem itself, which has the methods of A."""
-        return self
-
-    @property
-    def response(self) -> DenseProblem:
-        """The problem itself, which has the methods of a response."""
         return self
 
     @property
@@ -102,8 +97,8 @@ class DenseProblem(OneRank):
         """Keep A as the store of known products; each column counts as a product."""
         if not self.is_too_large and not isinstance(self.store, WholeModel):
             rows = np.column_stack([self.apply(unit) for unit in np.eye(len(self.b))])
-            nodes, local = row_nodes(self.admissible), 1.0 / np.diag(np.linalg.inv(self.A))
-            self.store = WholeModel(self, rows, 0, nodes, local, spsolve)
+            local = 1.0 / np.diag(np.linalg.inv(self.A))
+            self.store = WholeModel(self, rows, 0, local, spsolve)
         return not self.is_too_large
 
     def forget(self) -> None:
@@ -242,6 +237,7 @@ def random_set(rng: np.random.Generator, nodes: int) -> FeasibleSet:
         order[np.array(tangential, dtype=np.intp)],
         np.array(node, dtype=np.intp),
         radius,
+        np.full(nodes, -1),
     )
 
 
@@ -265,8 +261,7 @@ def random_cone_problem(seed: int, nodes: int, decades: float, coefficient: floa
     rubs = rng.random(nodes)
     constant = np.where(rubs < 0.2, rng.uniform(0.0, 1.0, nodes), 0.0)
     problem.cones = FrictionCones(
-        **vars(dataclasses.replace(lam, radius=constant)),
-        normal_of=normal_of,
+        **vars(dataclasses.replace(lam, radius=constant, normal_of=normal_of)),
         coefficient=np.where(rubs < 0.9, rng.uniform(0.0, coefficient, nodes), 0.0),
         limit=np.where(rng.random(nodes) < 0.3, rng.uniform(0.0, 1.0, nodes), np.inf),
     )

@@ -88,7 +88,7 @@ def dual(scene: Any, tolerance: float, solver: str) -> Answer:
             primal_wanted=True,
         )
         u = problem.jump.system.f.x.petsc_vec.duplicate()
-        problem.response.end_at(x, u)
+        problem.end_at(x, u)
         u.destroy()
         work = {"iterations": iterations, "products": bounds.size, "factorisations": 1}
         return Answer(x, work, status)
@@ -99,7 +99,7 @@ def _dense(problem: Any) -> np.ndarray:
     jump = scipy_matrix(problem.jump.matrix)
     right = jump @ diags_array(np.where(problem.jump.system.prescribed, 0.0, 1.0))
     # not public: the package has no use for many right-hand sides
-    factor = problem.compliance.operator.solver._ksp.getPC().getFactorMatrix()
+    factor = problem.compliance.solver._ksp.getPC().getFactorMatrix()
     A = np.empty((len(problem.b), len(problem.b)))
     for start in range(0, len(A), BLOCK):
         block = np.asfortranarray(right[start : start + BLOCK].toarray().T)

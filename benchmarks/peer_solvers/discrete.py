@@ -169,7 +169,7 @@ def judge(scene: Any, answer: Answer, exact: np.ndarray) -> dict[str, float]:
         }
         if x.ndim == 1:
             _, residual = residual_norm(dual)
-            found["residual"] = residual(x, dual.operator.apply(x) - dual.b)
+            found["residual"] = residual(x, dual.compliance.apply(x) - dual.b)
         return found
 
 

@@ -29,7 +29,7 @@ def fista(scene: Any, rtol: float) -> Answer:
             gradient = product + beta * (product - product_before) - dual.b
             before, product_before = x, product
             x = project(y - rho * gradient)
-            product = dual.operator.apply(x)
+            product = dual.compliance.apply(x)
             t = 1.0 if (y - x) @ (x - before) > 0.0 else t_next
         _displacement(dual, x)
         return Answer(x, _work(dual, iterations))
@@ -59,7 +59,7 @@ def mpgp(scene: Any, rtol: float) -> Answer:
             if boundary @ boundary > inner @ r:  # not proportional
                 end = bounds.project(x - alpha * r)
             else:
-                image = dual.operator.apply(p)
+                image = dual.compliance.apply(p)
                 step = (r @ p) / (p @ image)
                 longest = _longest_step(bounds, x, p)
                 x, r = x - min(step, longest) * p, r - min(step, longest) * image
@@ -69,7 +69,7 @@ def mpgp(scene: Any, rtol: float) -> Answer:
                     gradient = np.where(free, r, 0.0)
                     p = gradient - (gradient @ image) / (p @ image) * p
             if end is not None:
-                x, r = end, r + dual.operator.apply(end - x)
+                x, r = end, r + dual.compliance.apply(end - x)
                 free = _inside(bounds, x)
                 p = np.where(free, r, 0.0)
         _displacement(dual, x)
@@ -105,11 +105,11 @@ def _longest_step(bounds: Any, x: np.ndarray, p: np.ndarray) -> float:
 
 
 def _work(dual: Any, iterations: int) -> dict[str, int]:
-    return {"iterations": iterations, "products": dual.operator.products, "factorisations": 1}
+    return {"iterations": iterations, "products": dual.compliance.products, "factorisations": 1}
 
 
 def _displacement(dual: Any, x: np.ndarray) -> None:
     """Compute the displacement, which belongs to the answer that a user wants."""
     u = dual.jump.system.f.x.petsc_vec.duplicate()
-    dual.response.end_at(x, u)
+    dual.end_at(x, u)
     u.destroy()

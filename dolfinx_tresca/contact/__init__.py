@@ -16,8 +16,10 @@ whether rotations, strains and slips are within the limits of linear theory. New
 nonlinear bodies asks for more accuracy than the user does; only what the user asked decides about
 convergence.
 
-Symbols: B is `jump`, A is `compliance`, x (multipliers) is `StepState.multipliers`, the origin s of
-friction is `StepState.history.origin`.
+Symbols: B is `jump`, A is `compliance` (a `ContactCompliance`), x (multipliers) is
+`StepState.multipliers`, the origin s of friction is `StepState.history.origin`.
+
+The page of the room `dual` follows one solve through all rooms.
 
 Read first: `step_state.StepState`, `contact_surfaces.ContactSurfaces.begin_solve`,
 `contact_system.ContactSystem.solve`.

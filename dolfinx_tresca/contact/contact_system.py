@@ -74,7 +74,7 @@ class ContactSystem(ContactSurfaces):
         return [
             ("bodies", self.bodies_found),
             *self.summary.rows(units),
-            ("solver for K", str(self.compliance.operator.solver)),
+            ("solver for K", str(self.compliance.solver)),
             ("chosen", self.reason),
         ]
 
@@ -193,7 +193,7 @@ class ContactSystem(ContactSurfaces):
         free_unused(self.comm)  # vectors of the solves before
         requested = requested or options
         self.check_suits(options)
-        self.compliance.operator.solver.check_ready()
+        self.compliance.solver.check_ready()
         timings, self.timings = self.timings, {}
         self.state = replace(self.state, solution=None, pending=False)
         with timed("load", timings):
@@ -201,8 +201,8 @@ class ContactSystem(ContactSurfaces):
             bounds = self.slip_bounds()
             self.align_tangents(bounds)
             self.update_gaps()
-            operator, jump, state = self.compliance.operator, self.jump, self.state
-            products_before, krylov = operator.products, operator.solver.krylov_iterations
+            compliance, jump, state = self.compliance, self.jump, self.state
+            products_before, krylov = compliance.products, compliance.solver.krylov_iterations
             history = self.history_of_solve()
             moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
             tools = self.obstacles.tools(jump, self.bodies, state.history.begun)
@@ -236,7 +236,7 @@ class ContactSystem(ContactSurfaces):
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
-        multipliers, products = dual_solution.multipliers, operator.products - products_before
+        multipliers, products = dual_solution.multipliers, compliance.products - products_before
         solution = StepSolution(
             status, dual, multipliers, evaluation, history, curves, inputs, moved, motions
         )
@@ -253,7 +253,7 @@ class ContactSystem(ContactSurfaces):
             units=units,
             iterations=dual_solution.iterations,
             products=products,
-            krylov_iterations=operator.solver.krylov_iterations - krylov,
+            krylov_iterations=compliance.solver.krylov_iterations - krylov,
             residuals=dual_solution.residuals,
             q=dual_solution.q,
             timings=largest_over_ranks(self.comm, timings),
@@ -276,7 +276,7 @@ class ContactSystem(ContactSurfaces):
         for curve in arguments:
             self.friction.check_curve(*curve)
         scene_checks.hint_at_weakening(
-            self.comm, cones, x, dual.known_products().largest_ritz_value
+            self.comm, cones, x, dual.compliance.known_products().largest_ritz_value
         )
         return arguments
 

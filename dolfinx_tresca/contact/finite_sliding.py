@@ -202,7 +202,7 @@ class FiniteSliding:
             linear.frames = contact.frames_at(held)
             v = origin if frames is None else frames.deformation(origin)
         try:
-            w = linear.response_to_prescribed_values(contact.compliance.operator.solver, v)
+            w = linear.response_to_prescribed_values(contact.compliance.solver, v)
             w.x.array[:] += v.x.array
             w = w if linear.frames is None else linear.frames.displacement(w)
         finally:

@@ -231,7 +231,7 @@ def goal_error(
         ConvergenceError: the adjoint has no solution.
     """
     dual, jump, x = contact.dual, contact.dual.jump, contact.multipliers
-    products_before = dual.operator.products
+    products_before = dual.compliance.products
     on_jump, on_x = weights_of(goal, jump, x)
     z, _ = contact.adjoint(on_jump, on_x, accuracy=ADJOINT_ACCURACY)
     estimator = dual.compliance.estimator
@@ -249,7 +249,7 @@ def goal_error(
         iteration_error=energy_error * dual.norm_of(z),
         cell_errors=cells,
         adjoint=z,
-        products=dual.operator.products - products_before,
+        products=dual.compliance.products - products_before,
     )
 
 

@@ -42,8 +42,8 @@ from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
 from dolfinx_tresca.dual.program import DualProgram, at_edge
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
-from dolfinx_tresca.solvers.constraints import NodalPattern, norm
-from dolfinx_tresca.solvers.feasible_set import Face, FrictionCones
+from dolfinx_tresca.solvers.constraints import norm
+from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.products import NodalMaps
 
 #: Relative error of y in the energy norm of the model of A, for estimates of errors; its square is
@@ -86,7 +86,7 @@ class LinearisedContact:
 
         Collective at the first access.
         """
-        return self.dual.response.gradient_of(self.u.x.petsc_vec)
+        return self.dual.gradient_of(self.u.x.petsc_vec)
 
     @property
     def face(self) -> Face:
@@ -104,15 +104,14 @@ class LinearisedContact:
         cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
         lam = cones.section(x)
         face = lam.face(target)
-        follows = isinstance(cones, FrictionCones) and bool(cones.slopes(x, face.slip)[1].any())
-        if reduce_array(dual.jump.comm, float(follows)) > 0.0:
+        slope, by_slip = cones.slopes(x, face.slip)
+        if reduce_array(dual.jump.comm, float(by_slip.any())) > 0.0:
             raise InputError(
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
-        change = cones.with_bound_change(x, face, np.ones_like(x))
-        matrix = NodalPattern(dual.jump.row_nodes).matrix(lambda v: change(v, v))
-        return face, lam.circle_stiffness(r, face), matrix
+        follow = cones.nodal_matrix(np.ones_like(x), (face.radial, cones.at_normals(slope)))
+        return face, lam.circle_stiffness(r, face), follow
 
     def log_edge(self) -> None:
         """Log how many nodes are about to change their state, if there are any. Collective."""
@@ -192,7 +191,7 @@ class LinearisedContact:
         """
         dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
         if accuracy is None:
-            accuracy = ACCURACY[dual.operator.exact]
+            accuracy = ACCURACY[dual.compliance.exact]
         prescribed = dual.jump.system.prescribed
         v = fem.Function(dual.jump.system.V, name="adjoint" if transpose else "displacement")
         displacement = _FollowedDisplacement(dual, force, v.x.petsc_vec)
@@ -202,12 +201,12 @@ class LinearisedContact:
             free.array[prescribed] = 0.0
             resultants, largest_resultant = dual.equilibrium.resultants(free)
         jump_at_start = displacement.solve_start()
-        store = dual.known_products()
+        store = dual.compliance.known_products()
         model = store.model()
         maps = self._maps(model.diagonal, transpose)
         weight = 1.0 / (model.diagonal + curvature)
         root = np.sqrt(weight)
-        residual = right = maps.test(jump_at_start - offset)
+        residual = right = maps.test @ (jump_at_start - offset)
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
         terms = np.abs(jump_at_start) + np.abs(offset)
         rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
@@ -231,7 +230,7 @@ class LinearisedContact:
                 break
             product, error, change = displacement.product(point[: ends[0]], step_y, length)
             store.add(step_y, product, error)
-            image = maps.test(product + curvature * step_y - constraints.columns @ step_c)
+            image = maps.test @ (product + curvature * step_y - constraints.columns @ step_c)
             step: Array = np.concatenate([step_y, step_c, change])
             factor = 1.0
             if count == 0:
@@ -291,11 +290,7 @@ class LinearisedContact:
             return NodalMaps.on_face(cones, x, face, diagonal, curvature)
         # with the bounds of the solution, Q is zero
         maps = NodalMaps.on_face(face.discs, x, face, diagonal, curvature)
-        return replace(
-            maps,
-            test=lambda v: maps.test(change.T @ v),
-            inverse=lambda v: maps.inverse(change.T @ v),
-        )
+        return replace(maps, test=maps.test @ change.T, inverse=maps.inverse @ change.T)
 
 
 class _FollowedDisplacement:
@@ -317,23 +312,23 @@ class _FollowedDisplacement:
             f: right-hand side, with prescribed values in their rows.
             v: vector of zeros for the result.
         """
-        self._operator, self._jump, self._f, self._v = dual.operator, dual.jump, f, v
+        self._compliance, self._jump, self._f, self._v = dual.compliance, dual.jump, f, v
         self._error = 0.0
 
     @property
     def values(self) -> Array:
         """The values of v that follow y; none with a direct solver, which ends with v."""
-        return np.zeros(0) if self._operator.exact else np.array(self._v.array)
+        return np.zeros(0) if self._compliance.exact else np.array(self._v.array)
 
     @values.setter
     def values(self, values: Array) -> None:
-        if not self._operator.exact:
+        if not self._compliance.exact:
             self._v.array = values
 
     def solve_start(self) -> Array:
         """Return B v (size,) for y = 0: one solve with K, unless f is zero. Collective."""
         if self._f.norm() > 0.0:
-            self._operator.products += 1
+            self._compliance.products += 1
             self._error = self.improve(None, self._v, STEP_ACCURACY, 0.0)
         return self._jump.of_unknowns(self._v)
 
@@ -343,7 +338,7 @@ class _FollowedDisplacement:
         if y is not None:
             force = self._jump.contact_force(y)
             force.aypx(-1.0, self._f)
-        error = self._operator.solver.improve(force, v, rtol=rtol, accuracy=accuracy)
+        error = self._compliance.solver.improve(force, v, rtol=rtol, accuracy=accuracy)
         v.array[prescribed] = self._f.array[prescribed]
         return error
 
@@ -358,9 +353,9 @@ class _FollowedDisplacement:
         Returns:
             the product, the norm sqrt(e'A^-1 e) of its error e, and the change of `values`.
         """
-        if self._operator.exact:
-            return self._operator.apply(step), 0.0, np.zeros(0)
-        self._operator.products += 1
+        if self._compliance.exact:
+            return self._compliance.apply(step), 0.0, np.zeros(0)
+        self._compliance.products += 1
         v, before = self._v.copy(), self._error
         self._error = self.improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
         product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(v)

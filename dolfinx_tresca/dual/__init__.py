@@ -11,23 +11,51 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
   `FeasibleSet`, or `FrictionCones` if any bound depends on the pressure.
 - `friction_discs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
   evaluates any field of the user at nodes.
-- `ContactCompliance`: all that follows from one K: A, near field, bound, error estimate.
-- `ElasticResponse`: the displacement for given multipliers, gradients and b, for one load.
+- `ContactCompliance`: A for one B and one K, and all that follows from K alone: products, near
+  field, bound, error estimate.
 - `SlipHistory`: slip and dissipation of the accepted load steps.
 - `EnergyBound`: a bound of the iteration's error; `DiscretisationError` estimates the mesh's.
-- `DualProgram`: all of these together, the input of `solvers`.
+- `DualProgram`: all of these together for one load, the input of `solvers`: b, and the displacement
+  and the gradient that belong to multipliers.
 
 | symbol | name in the code | meaning |
 |---|---|---|
 | N, T, B | `JumpOperator.matrix` | normal, tangential, all jumps |
-| A | `DualOperator` in `ContactCompliance.operator` | B K^-1 B' |
-| b, d, s | `ElasticResponse.b`, `JumpOperator.gap`, `SlipHistory.origin` | as in (38.4) |
+| A | `ContactCompliance`, `compliance` | B K^-1 B' |
+| b, d, s | `DualProgram.b`, `JumpOperator.gap`, `SlipHistory.origin` | as in (38.4) |
 | lambda, x | `multipliers`, `x` | pressures and tangential tractions, scaled |
 | r | `gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
 | Lambda, g | `DualProgram.admissible`, `FeasibleSet.radius` | feasible set, slip bounds |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
 | D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
 
-Read first: `jump.JumpOperator.__init__`, `program.DualProgram`,
-`program.ElasticResponse.gradient`.
+One solve, from the user's call to the table, with linear bodies:
+
+1. `ContactProblem.solve` collects options and observer. `ContactSurfaces.begin_solve` pairs anew
+   the surfaces whose obstacles have moved, and returns to the state in which the solve starts.
+2. `ContactSystem.solve` assembles f, evaluates slip bounds and gaps at the nodes, and makes the
+   `DualProgram`. This takes the first solve with K, for u = K^-1 f, from which b follows. An
+   iterative solver for K begins at the `InitialGuess`, two displacements that the surfaces keep
+   from solve to solve: u at zero multipliers, and u at the last ones.
+3. `iteration.solve` (room `solvers`) chooses the method, by default `ModelNewton.run`. It begins at
+   the multipliers of the last solve, or at zero if the residual is smaller there.
+4. Each iteration has two parts. `SemismoothNewton.solve` solves the contact problem with a model M
+   in place of A, by steps that need no product with A; the result is a `NewtonPoint`: multipliers
+   x and c, the gradient at x with M in place of A, and the residual that is left. Then
+   `Iterate.move` takes the step to this point, or the part of it with the least q. This takes a
+   single product with A, a solve with K, which gives the true gradient and improves M (and no
+   product if A is known as a matrix).
+5. `History.check_convergence` judges each iterate. The last one becomes the `DualSolution`.
+6. `evaluate` (room `solution`) begins with the closing solve, `DualProgram.end_at`: K u = f - B'x
+   with the last x. The iteration has computed gradients, but with a direct solver no displacement,
+   and with an iterative one a displacement that is only as accurate as the criteria needed; there
+   it is kept if its error is small enough. `in_equilibrium` adds the rigid displacements of
+   floating bodies. All fields, forces, energies and bounds are computed from this u and x.
+7. `ContactSystem.solve` compares the bound of the error of these fields with the accuracy that was
+   asked for, and returns a `ContactSolution`. `ContactSystem.checked` changes its status if it has
+   left linear theory. `print(solution)` shows its rows.
+
+Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 7.
+
+Read first: `jump.JumpOperator.__init__`, `program.DualProgram`, `program.DualProgram.gradient`.
 """

@@ -42,18 +42,12 @@ class Lift:
     _solver: StiffnessSolver | None
 
     def __init__(self, jump: JumpOperator) -> None:
-        """Factor B D B'. Collective.
-
-        Args:
-            jump: B, and the system with K.
-        """
+        """Factor B D B'. Collective."""
         self._prepare(jump.system.K, jump.matrix)
         self._compliance = nodal_compliance(jump.system)
         weighted = self._B.copy()
         weighted.diagonalScale(R=self._compliance)
-        transposed = self._B.copy().transpose()
-        local = weighted.matMult(transposed)
-        self._solver = _factored_unless_singular(local)
+        self._solver = _factored_unless_singular(weighted.matTransposeMult(self._B))
 
     def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
         """Keep K and B, and make vectors. Collective."""
@@ -117,9 +111,6 @@ class SaddleLift(Lift):
         If the factorisation fails because rows of B are linearly dependent, `energy_norm` returns
         inf for any jump.
 
-        Args:
-            jump: B, and the system with K.
-
         Raises:
             StiffnessError: rows of B are linearly independent of each other, but not of the rows of
                 incompressibility in K: the contact closes in a body that cannot change its volume.
@@ -181,10 +172,8 @@ class EnergyBound:
     def __init__(self, jump: JumpOperator, nodal_stiffness: Array) -> None:
         """Prepare the lifts w. Collective.
 
-        Args:
-            jump: B, and the system with K.
-            nodal_stiffness: (size,) the stiffness of a node with fixed neighbours, the same for all
-                directions of a friction disc.
+        The `nodal_stiffness` (size,) is that of a node with fixed neighbours, and the same for all
+        directions of a friction disc.
         """
         self._nodal_stiffness = nodal_stiffness
         system = jump.system
@@ -198,11 +187,8 @@ class EnergyBound:
     def energy_bound(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
         """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.
 
-        Args:
-            feasible_set: Lambda.
-            x: (size,) multipliers in Lambda.
-            r: (size,) the gradient at x, from the computed displacement u: d - N u and -T u.
-            error: a bound of the error of u, |u - K^-1 (f - B'x)|_K.
+        The gradient r (size,) is that of the computed displacement u, d - N u and -T u. The error
+        of u is at most `error` in the norm |u - K^-1 (f - B'x)|_K.
 
         Returns:
             the bound of |u - u*|_K; infinite if there is no bound, or if rows of B are linearly

@@ -19,12 +19,7 @@ from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, dots
 from dolfinx_tresca._base.parallel import RankReductions
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, friction_discs, with_tangents_along_axes
-from dolfinx_tresca.pairing.operators import (
-    PairOperators,
-    as_petsc,
-    assemble_B,
-    joined,
-)
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, assemble_B, joined
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones, NodalCurves
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -84,10 +79,7 @@ class JumpOperator(PetscOwner):
     """
 
     def __init__(
-        self,
-        system: LinearSystem,
-        pairs: Sequence[PairOperators],
-        frames: BodyFrames | None = None,
+        self, system: LinearSystem, pairs: Sequence[PairOperators], frames: BodyFrames | None = None
     ) -> None:
         """Assemble B. Collective."""
         self.system, self.frames, self.comm = system, frames, system.comm
@@ -97,14 +89,14 @@ class JumpOperator(PetscOwner):
         self.slices = list(zip(rows[::2], rows[1::2], strict=True))
         starts = zip(pairs, self.nodes, strict=True)
         self.row_nodes = np.concatenate([pair.row_node + nodes.start for pair, nodes in starts])
-        self._roots = np.sqrt(np.concatenate([pair.weights for pair in pairs]))
-        scale: Array = 1.0 / self._roots[self.row_nodes]
+        self._root_areas = np.sqrt(np.concatenate([pair.weights for pair in pairs]))
+        scale: Array = 1.0 / self._root_areas[self.row_nodes]
         is_tangential, is_bonded = np.zeros((2, len(scale)), dtype=np.bool_)
         for pair, (n, t) in zip(pairs, self.slices, strict=True):
             is_tangential[t] = True
             is_bonded[n.start : t.stop] = pair.bonded
         self.is_tangential = is_tangential
-        tangential, count = np.flatnonzero(is_tangential), len(self._roots)
+        tangential, count = np.flatnonzero(is_tangential), len(self._root_areas)
         semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
         stretch = np.ones(len(scale))
         stretch[tangential], self._relative_radius, frictionless = friction_discs(
@@ -122,12 +114,14 @@ class JumpOperator(PetscOwner):
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
         rubs = ~is_bonded[tangential]
-        alone, tangential = frictionless[rubs], tangential[rubs]
+        has_own_disc, tangential = frictionless[rubs], tangential[rubs]
         node = self.row_nodes[tangential].astype(np.intp)
-        node[alone] = count + np.arange(alone.sum())
-        radius = np.full(count + alone.sum(), np.inf)
+        node[has_own_disc] = count + np.arange(has_own_disc.sum())
+        radius = np.full(count + has_own_disc.sum(), np.inf)
         normal = np.flatnonzero(~(is_tangential | is_bonded))
-        self.discs = FeasibleSet(len(scale), normal, tangential, node, radius)
+        normal_of = np.full(len(radius), -1)
+        normal_of[self.row_nodes[normal]] = normal
+        self.discs = FeasibleSet(len(scale), normal, tangential, node, radius, normal_of)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -144,7 +138,7 @@ class JumpOperator(PetscOwner):
         result = []
         for k, pair in enumerate(self.pairs):
             numbers = pair.undeformed.group.numbers
-            operators, acts = [], np.zeros(len(self._roots), dtype=np.bool_)
+            operators, acts = [], np.zeros(len(self._root_areas), dtype=np.bool_)
             for j in numbers:
                 share = self.pairs[j].shares[:, numbers.index(k)]
                 keep = acts[self.nodes[j]] = share > 0.0
@@ -168,11 +162,8 @@ class JumpOperator(PetscOwner):
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
         count, radius = len(self.discs.radius), self._relative_radius
-        factors = {
-            "constant": radius * self._roots,
-            "coefficient": radius,
-            "limit": radius * self._roots,
-        }
+        scaled = radius * self._root_areas
+        factors = {"constant": scaled, "coefficient": radius, "limit": scaled}
         constant, coefficient, limit = (
             _scaled(np.concatenate([getattr(bounds, name) for bounds in slip_bounds]), by, count)
             for name, by in factors.items()
@@ -180,14 +171,12 @@ class JumpOperator(PetscOwner):
         lam = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
             return lam
-        normal_of, root = np.full(count, -1), np.ones(count)
-        normal_of[self.row_nodes[lam.normal]] = lam.normal
-        root[: len(self._roots)] = np.where(self._roots > 0.0, self._roots, 1.0)
+        root = np.ones(count)
+        root[: len(self._root_areas)] = np.where(self._root_areas > 0.0, self._root_areas, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
             **vars(lam),
-            normal_of=normal_of,
             coefficient=coefficient,
             limit=limit,
             curves=NodalCurves(curves, root) if curves else None,
@@ -197,9 +186,6 @@ class JumpOperator(PetscOwner):
         """Return B with tangents along the axes of each node's friction ellipse. Collective.
 
         The result is self if all tangents stay the same, else a new operator that the caller owns.
-
-        Args:
-            slip_bounds: for each pair the slip bounds at its nodes, with their ellipses.
 
         Raises:
             InputError: the direction that belongs to two slip bounds is not finite, is zero, or is

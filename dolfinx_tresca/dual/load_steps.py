@@ -206,11 +206,8 @@ class SlipHistory:
     ) -> SlipHistory:
         """Return the history of a single accepted step with given slips. Not collective.
 
-        Args:
-            jump: B.
-            slips: for each pair (n, d + 1) the slip vectors at its nodes and the lengths of their
-                paths [length].
-            dissipation: dissipation so far [energy].
+        For each pair, slips (n, d + 1) are slip vectors at its nodes and the lengths of their paths
+        [length].
         """
         origin = np.zeros(len(jump.gap))
         for pair, slip, (_, t) in zip(jump.pairs, slips, jump.slices, strict=True):

@@ -133,10 +133,7 @@ class NodalValues:
     def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
         """Return the present values of a scalar (n,) at nodes of this rank. Collective.
 
-        Args:
-            field: the scalar, such as a slip bound or a gap.
-            nodes: (n,) local numbers of the nodes.
-            name: name of the scalar in error messages.
+        The `nodes` (n,) are local numbers; error messages call the scalar by the `name`.
 
         Raises:
             InputError: the scalar is on another mesh, or a function returns neither a number nor
@@ -211,12 +208,7 @@ class NodalValues:
     ) -> Array | None:
         """Return the derivative (n,) of nodal values for a given change of a control. Collective.
 
-        Args:
-            field: the scalar whose nodal values are differentiated.
-            control: the Constant or scalar Function that changes.
-            direction: change of the control: values for a Constant, a Function for a Function.
-            nodes: nodes of this rank at which the field is taken.
-            name: name of the field in error messages.
+        The change of a Constant is given by values, that of a Function by a Function.
 
         Returns:
             the derivative; None if the field does not depend on the control.
@@ -274,17 +266,16 @@ class NodalValues:
         if n == 0:
             return np.zeros((components, 0))
         array = np.asarray(function(self._points[nodes].T.copy()))
-        shape, kind = ((), "a real number") if components == 1 else ((3,), "a vector")
-        shapes = (shape, (components, n), (n,)) if components == 1 else (shape, (components, n))
-        if array.dtype.kind not in "biuf" or array.shape not in shapes:
-            wanted = f"({n},)" if components == 1 else f"({components}, {n})"
+        constant, wanted = ((components,), (components, n)) if components > 1 else ((), (n,))
+        kind = "a vector" if components > 1 else "a real number"
+        if array.dtype.kind not in "biuf" or array.shape not in (constant, wanted, (components, n)):
             raise InputError(
                 f"the function for {name} must return {kind}, or one for each "
                 f"point: for the {n} contact nodes of this rank it gets x of shape (3, {n}) and "
                 f"should return an array of shape {wanted}, found "
                 + (f"{array}." if array.shape == () else f"shape {array.shape} of {array.dtype}.")
             )
-        columns = array[:, None] if components == 3 and array.shape == shape else array
+        columns = array[:, None] if components > 1 and array.shape == constant else array
         values: Array = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
         return values
 

@@ -1,9 +1,8 @@
-"""Products with A = B K^-1 B', and what is known of A without them.
+"""A = B K^-1 B': its products, and what is known of A without them.
 
-- `DualOperator`: a product is one solve with K; every one is counted.
-- `sparse_model`, `dense_model`: A as a matrix, for many small bodies or for few multipliers.
+- `sparse_rows`: A as a sparse matrix, for many small bodies.
 - `NearField`: a cheap approximation of A, with the bodies clamped some cells from the contact.
-- `ContactCompliance`: all of them for one B and one K, computed when first needed.
+- `ContactCompliance`: A for one B and one K. A product is one solve with K; every one is counted.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from scipy.sparse import csc_array, csr_array
 
 from dolfinx import la
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
 from dolfinx_tresca._base.bodies import label_bodies, labels_of
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import (
@@ -36,64 +35,6 @@ from dolfinx_tresca.floating.rigid_modes import FixingSprings
 from dolfinx_tresca.solvers.problem import KnownProducts
 from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver, cholesky
-
-
-class DualOperator:
-    """A of (38.4), for one K: each product is one solve with K.
-
-    If bodies float, K stands for K_p, which is K with springs that fix these bodies
-    (`floating/rigid_modes.py`).
-
-    The caller keeps B and the solver.
-
-    Attributes:
-        jump: B.
-        solver: solver for K.
-        exact: whether products are exact to rounding (a direct solver for K).
-        products: number of products with A.
-    """
-
-    def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
-        """Prepare products, without computing any. Collective."""
-        self.jump, self.solver = jump, solver
-        self.comm = self.jump.comm
-        self.exact = solver.exact
-        self.products = 0
-
-    def apply(self, x: Array) -> Array:
-        """Return A x to the accuracy in the solver's options; counted in `products`. Collective.
-
-        Args:
-            x: (size,) multipliers.
-        """
-        self.products += 1
-        u = self.jump.work
-        self.solver.solve(self.jump.contact_force(x), u)
-        u.array[self.jump.system.prescribed] = 0.0
-        return self.jump.of_unknowns(u)
-
-    def apply_to_all(self, X: Array, B: PETSc.Mat) -> Array:
-        """Return A X for X (size, k), with a direct solver for all columns together. Collective.
-
-        This costs far less than k single products. Each column is counted in `products`.
-
-        Args:
-            X: (size, k) multipliers.
-            B: the matrix of jumps in A = B K^-1 B', or a matrix that replaces it.
-        """
-        self.products += X.shape[1]
-        multipliers = dense_matrix(X, self.comm)
-        forces = B.transposeMatMult(multipliers)
-        forces.getDenseArray()[self.jump.system.prescribed] = 0.0
-        displacements = forces.duplicate()
-        self.solver.solve_several(forces, displacements)
-        displacements.getDenseArray()[self.jump.system.prescribed] = 0.0
-        jumps = B.matMult(displacements)
-        product: Array = jumps.getDenseArray().copy()
-        for owned in (multipliers, forces, displacements, jumps):
-            owned.destroy()
-        return product
-
 
 #: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
 #: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half
@@ -113,12 +54,12 @@ BLOCK = 32
 LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
 
-def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel | None:
-    """Return A as a sparse matrix for many small bodies; None if this does not pay. Collective.
+def sparse_rows(compliance: ContactCompliance) -> csr_array | None:
+    """Return this rank's rows (size, n) of A for many small bodies. Collective.
 
-    The matrix does not pay if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`). The
-    result is also None with an iterative solver for K or a mixed space, for which the method does
-    not work.
+    The result is None if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`), with an
+    iterative solver for K, and with a mixed space, for which the method does not work. Each solve
+    counts as a product.
 
     K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
     are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
@@ -127,13 +68,9 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     force on the other body of this multiplier. The number of solves is the largest number of
     multipliers on a body, however many bodies there are. (Compare Curtis, Powell and Reid 1974, On
     the estimation of sparse Jacobian matrices.)
-
-    Args:
-        operator: A. Each solve counts as a product.
-        local_compliance: (size,) compliance of nodes whose neighbours are fixed.
     """
-    jump = operator.jump
-    if not operator.exact or jump.system.component is not None:
+    jump = compliance.jump
+    if not compliance.exact or jump.system.component is not None:
         return None
     label = label_bodies(jump.system.V)
     bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
@@ -146,49 +83,13 @@ def sparse_model(operator: DualOperator, local_compliance: Array) -> WholeModel 
     if not 0 < count <= min(BODY_SHARE * size, MOST_ON_BODY):
         return None
     members.data = np.arange(members.nnz) - np.repeat(members.indptr[:-1], numbers)
-    start, end = jump.matrix.getOwnershipRange()
-    place = csr_array(members)[start:end].data
+    place = csr_array(members)[slice(*jump.matrix.getOwnershipRange())].data
     B = sparse_matrix(forces, jump.matrix.getSizes()[1], jump.comm)
-    responses = _columns(operator, place, count, B)
+    responses = compliance.columns(place, count, B)
     force, column = np.nonzero(np.arange(count) < numbers[body, None])
     multiplier = members.indices[members.indptr[body[force]] + column]
     entries = (responses[force, column], (row[force], multiplier))
-    rows = csr_array(entries, shape=(len(jump.gap), size))
-    return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
-
-
-def dense_model(operator: DualOperator, local_compliance: Array) -> WholeModel | None:
-    """Return A as a dense matrix: one solve with K for each multiplier, in blocks. Collective.
-
-    The result is None if A is too large (`LARGEST_DENSE`, `LARGEST_DENSE_ITERATIVE`).
-
-    Args:
-        operator: A. Each solve counts as a product.
-        local_compliance: (size,) compliance of nodes whose neighbours are fixed.
-    """
-    jump, size = operator.jump, operator.jump.matrix.getSize()[0]
-    if size > (LARGEST_DENSE if operator.exact else LARGEST_DENSE_ITERATIVE):
-        return None
-    start, end = jump.matrix.getOwnershipRange()
-    rows = _columns(operator, np.arange(start, end), size, jump.matrix)
-    return WholeModel(jump.reductions, rows, start, jump.row_nodes, local_compliance, _solve)
-
-
-def _columns(operator: DualOperator, place: Indices, count: int, B: PETSc.Mat) -> Array:
-    """Return products (size, count) with unit vectors or sums of unit vectors. Collective.
-
-    Args:
-        operator: A.
-        place: (size,) column in which each multiplier is 1.
-        count: number of columns.
-        B: see `DualOperator.apply_to_all`.
-    """
-    result = np.empty((len(place), count))
-    for start in range(0, count, BLOCK):
-        columns = np.arange(start, min(start + BLOCK, count))
-        units = (place[:, None] == columns).astype(np.float64)
-        result[:, columns] = operator.apply_to_all(units, B)
-    return result
+    return csr_array(entries, shape=(len(jump.gap), size))
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
@@ -318,10 +219,6 @@ class NearField(PetscOwner):
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
         """Find the nodes near the contact, and factor K there and on the coarse level. Collective.
 
-        Args:
-            jump: B.
-            solver: solver for K.
-
         Raises:
             StiffnessError: the factorisation failed.
         """
@@ -406,24 +303,24 @@ FEW, CHEAP = 400, 10_000
 
 
 class ContactCompliance(PetscOwner):
-    """A = B K^-1 B', and all data that follow from K alone: computed once for each K.
+    """A = B K^-1 B' of (38.4), and all data that follow from K alone: computed once for each K.
 
-    Data that not every solve needs are computed on first access.
+    If bodies float, K stands for K_p, which is K with springs that fix these bodies
+    (`floating/rigid_modes.py`). Data that not every solve needs are computed on first access.
 
     Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
         jump: B.
-        operator: A.
+        solver: solver for K.
         springs: the springs that are in the solver's K, but not in the system's K; None if no body
             floats or is held softly.
+        exact: whether products are exact to rounding (a direct solver for K).
+        products: number of products with A.
     """
 
     def __init__(
-        self,
-        jump: JumpOperator,
-        solver: StiffnessSolver,
-        springs: FixingSprings | None,
+        self, jump: JumpOperator, solver: StiffnessSolver, springs: FixingSprings | None
     ) -> None:
         """Compute the data that every solve needs. Collective.
 
@@ -436,18 +333,17 @@ class ContactCompliance(PetscOwner):
             StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
                 the solver is destroyed.
         """
-        self.jump, self.springs = jump, springs
-        self.comm = self.jump.comm
-        with destroyed_on_error(solver):
-            if jump.system.component is not None:
-                _ = self.certificate  # now, since it raises errors of the scene
-            self.operator = DualOperator(jump, solver)
+        self.jump, self.solver, self.springs, self.comm = jump, solver, springs, jump.comm
+        self.exact, self.products = solver.exact, 0
         self._store: KnownProducts | None = None
+        if jump.system.component is not None:
+            with destroyed_on_error(solver):
+                _ = self.certificate  # now, since it raises errors of the scene
 
     def destroy(self) -> None:
         """Free the PETSc objects, and those of the solver. Collective."""
         self._destroy_but_solver()
-        self.operator.solver.destroy()
+        self.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
         vars(self).pop("certificate", None)
@@ -461,7 +357,85 @@ class ContactCompliance(PetscOwner):
         K need not be factored: surfaces are also paired after a factorisation has failed.
         """
         self._destroy_but_solver()
-        return ContactCompliance(jump, self.operator.solver, self.springs)
+        return ContactCompliance(jump, self.solver, self.springs)
+
+    def apply(self, x: Array) -> Array:
+        """Return A x (size,) to the accuracy in the solver's options; a product. Collective."""
+        self.products += 1
+        u = self.jump.work
+        self.solver.solve(self.jump.contact_force(x), u)
+        u.array[self.jump.system.prescribed] = 0.0
+        return self.jump.of_unknowns(u)
+
+    def columns(self, place: Indices, count: int, B: PETSc.Mat) -> Array:
+        """Return products (size, count) with unit vectors or sums of unit vectors. Collective.
+
+        Each column counts as a product. Blocks of columns are solved together, which with a direct
+        solver costs far less than single products.
+
+        Args:
+            place: (size,) column in which each multiplier is 1.
+            count: number of columns.
+            B: the matrix of jumps in A = B K^-1 B', or a matrix that replaces it.
+        """
+        prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
+        for start in range(0, count, BLOCK):
+            block = np.arange(start, min(start + BLOCK, count))
+            multipliers = dense_matrix((place[:, None] == block).astype(np.float64), self.comm)
+            forces = B.transposeMatMult(multipliers)
+            forces.getDenseArray()[prescribed] = 0.0
+            displacements = forces.duplicate()
+            self.solver.solve_several(forces, displacements)
+            displacements.getDenseArray()[prescribed] = 0.0
+            jumps = B.matMult(displacements)
+            result[:, block] = jumps.getDenseArray()
+            for owned in (multipliers, forces, displacements, jumps):
+                owned.destroy()
+        self.products += count
+        return result
+
+    def known_products(self) -> KnownProducts:
+        """Return the store of all known products with A. Collective.
+
+        The first call computes A if it is sparse, or if it has few rows (`FEW`).
+        """
+        if self._store is not None:
+            return self._store
+        rows = sparse_rows(self)
+        if rows is not None:
+            self._store = self._whole(rows)
+            return self._store
+        jump, (size, unknowns) = self.jump, self.jump.matrix.getSize()
+        # in a mixed space, clamped nodes round the near field would fix its volume
+        has_near = size > 0 and jump.system.component is None
+        near = (lambda x: self.near_field.apply(x)) if has_near else None
+        self._store = ProductStore(
+            jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
+        )
+        if self.exact and 0 < size * min(1.0, unknowns / CHEAP) <= FEW:
+            self.complete_products()
+        return self._store
+
+    def complete_products(self) -> bool:
+        """Compute A as a dense matrix, unless it is known or too large; return whether it is known.
+
+        Each of its rows takes one solve with K, which counts as a product. Collective.
+        """
+        B = self.jump.matrix
+        size, most = B.getSize()[0], LARGEST_DENSE if self.exact else LARGEST_DENSE_ITERATIVE
+        if not isinstance(self._store, WholeModel) and size <= most:
+            self._store = self._whole(self.columns(np.arange(*B.getOwnershipRange()), size, B))
+        return isinstance(self._store, WholeModel)
+
+    def _whole(self, rows: Matrix) -> WholeModel:
+        """Return the model of A from this rank's rows (size, n), dense or sparse. Collective."""
+        jump, start = self.jump, self.jump.matrix.getOwnershipRange()[0]
+        local = np.reciprocal(self.nodal_stiffness)
+        return WholeModel(jump.reductions, rows, start, local, _solve)
+
+    def forget(self) -> None:
+        """Drop all products. Not collective."""
+        self._store = None
 
     @cached_property
     def floating(self) -> FloatingBodies | None:
@@ -472,7 +446,7 @@ class ContactCompliance(PetscOwner):
         """
         if self.springs is None:
             return None
-        U, stiffness = self.springs.response(self.jump.system.K, self.operator.solver)
+        U, stiffness = self.springs.response(self.jump.system.K, self.solver)
         jumps = product(self.jump.matrix, U)
         return FloatingBodies(self.springs.modes, U, stiffness, jumps, self.jump.row_nodes)
 
@@ -484,43 +458,13 @@ class ContactCompliance(PetscOwner):
     @cached_property
     def near_field(self) -> NearField:
         """The near field, an approximation of A for oscillating tractions. Collective."""
-        return NearField(self.jump, self.operator.solver)
+        return NearField(self.jump, self.solver)
 
     @cached_property
     def estimator(self) -> DiscretisationError:
         """The object that estimates the error of the mesh. Collective."""
         system = self.jump.system
         return DiscretisationError(system.form, system.V, system.axisymmetric)
-
-    def known_products(self) -> KnownProducts:
-        """Return the store of all known products with A. Collective.
-
-        The first call computes A if it is sparse, or if it has few rows (`FEW`).
-        """
-        if self._store is not None:
-            return self._store
-        compliance = np.reciprocal(self.nodal_stiffness)
-        self._store = sparse_model(self.operator, compliance)
-        if self._store is None:
-            jump, (size, unknowns) = self.jump, self.jump.matrix.getSize()
-            # in a mixed space, clamped nodes round the near field would fix its volume
-            has_near = size > 0 and jump.system.component is None
-            near = (lambda x: self.near_field.apply(x)) if has_near else None
-            self._store = ProductStore(jump.reductions, compliance, apply_near=near)
-            if self.operator.exact and 0 < size * min(1.0, unknowns / CHEAP) <= FEW:
-                self.complete_products()
-        return self._store
-
-    def complete_products(self) -> bool:
-        """Compute A as a dense matrix, unless it is known or too large; return whether it is known.
-
-        Collective.
-        """
-        if not isinstance(self._store, WholeModel):
-            compliance = np.reciprocal(self.nodal_stiffness)
-            model = dense_model(self.operator, compliance)
-            self._store = self._store if model is None else model
-        return isinstance(self._store, WholeModel)
 
     @cached_property
     def nodal_stiffness(self) -> Array:
@@ -535,7 +479,3 @@ class ContactCompliance(PetscOwner):
         largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]
         stiffness, extent = reduce_array(jump.comm, largest, MPI.MAX)
         return float(ROUNDING * extent * stiffness)
-
-    def forget(self) -> None:
-        """Drop all products. Not collective."""
-        self._store = None

@@ -53,62 +53,96 @@ LOAD_ACCURACY = 1e-6
 LARGEST_SIZE = 1e140
 
 
-class ElasticResponse:
-    """The displacement for the present load and given multipliers, (38.1).
+class DualProgram:
+    """The quadratic program of one solve: A, b, Lambda, constraints, displacements and energies.
 
-    With a direct solver for K, displacements are exact to rounding, whatever is requested; with an
-    iterative one, only as accurate as requested. An object is valid until the load or K changes.
+    It is the input of the algorithms in `dolfinx_tresca.solvers`, and valid until the load or K
+    changes. With a direct solver for K, displacements are exact to rounding, whatever is requested;
+    with an iterative one, only as accurate as requested.
 
     Attributes:
+        compliance: A, and all data that depend on K only.
+        jump: B.
+        reductions: sums over all ranks, and values on which all ranks agree.
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
             at which the slip of this solve is zero; less the jumps of the frames of bodies that
             have turned.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
         b_error: norm sqrt(e'A^-1 e) of the error e of b.
+        admissible: all multipliers that the present laws of friction allow.
+        equilibrium: equilibrium of tools, floating and softly held bodies; None if there are none.
+        constraints: linear equations of the multipliers: this equilibrium.
+        of_tools: positions of the motions of tools among the multipliers of the constraints.
+        history: slip and dissipation of the accepted load steps.
+        is_load_step: whether this is a load step of a process: a step was accepted before.
     """
 
     b: Array
     b_error: float
 
     def __init__(
-        self, compliance: ContactCompliance, guess: InitialGuess, slip_origin: Array
+        self,
+        compliance: ContactCompliance,
+        guess: InitialGuess,
+        slip_bounds: Sequence[NodalBounds],
+        history: SlipHistory | None = None,
+        tools: Tools | None = None,
     ) -> None:
-        """Compute b from the displacement without contact: one solve with K. Collective.
+        """Make the program for the system's present load, with one solve with K. Collective.
 
         An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
         residuals and the reported q depend on this b, while gradients do not.
 
         Args:
-            compliance: A.
+            compliance: A for the present K.
             guess: displacements of earlier solves.
-            slip_origin: (size,) slip origin s, divided by the jump's `length_scale`.
+            slip_bounds: slip bounds at the nodes of each pair.
+            history: slip of the accepted load steps; None if there is none.
+            tools: obstacles and bolts with given forces; None if there are none.
 
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
+            MechanismError: contact cannot hold a floating body or a tool.
             StiffnessError: the solve failed.
         """
-        self._compliance, self._guess = compliance, guess
-        self._operator, self._solver = compliance.operator, compliance.operator.solver
-        self._jump = compliance.jump
-        self._system, self._inner = self._jump.system, self._jump.reductions.inner
-        self.offset = self._jump.gap + slip_origin
-        if (frames := self._jump.frames) is not None:
-            self.offset = self.offset - self._jump.of_displacement(frames.rigid)
-        self._u = self._jump.work
-        self._is_refined = self._solver.exact
+        jump = self.jump = compliance.jump
+        self.compliance, self._solver, self._guess = compliance, compliance.solver, guess
+        self._load, self._u = jump.system.f.x.petsc_vec, jump.work
+        self.reductions, self.inner = jump.reductions, jump.reductions.inner
+        self.history = SlipHistory.none(jump) if history is None else history
+        self.is_load_step = self.history.begun
+        self.admissible = jump.bounded(slip_bounds)
+        self.equilibrium: Equilibrium | None = None
+        self.constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
+        self.of_tools = slice(0)
+        bodies, load = compliance.floating, self._load.array
+        if tools is not None:
+            if bodies is None:
+                modes = RigidBodyModes.none(jump.system.V, tools.bodies)
+                U, stiffness, jumps = (csr_array((n, 0)) for n in (len(load), 0, len(jump.gap)))
+                bodies = FloatingBodies(modes, U, stiffness, jumps, jump.row_nodes)
+            self.of_tools = slice(len(bodies.modes), None)
+            bodies = bodies.with_tools(tools)
+        if bodies is not None:
+            self.equilibrium = bodies.under(load, self.admissible, jump.reductions)
+            self.constraints = self.equilibrium.constraints
+        self.offset = jump.gap + self.history.origin
+        if jump.frames is not None:
+            self.offset = self.offset - jump.of_displacement(jump.frames.rigid)
+        self._is_refined = compliance.exact
         self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
         self._compute_b(LOAD_ACCURACY)
         self._check_units()
 
     def _compute_b(self, rtol: float) -> None:
         """Compute b from the displacement without contact, to a given accuracy. Collective."""
-        load, u = self._system.f.x.petsc_vec, self._u
-        u.array = 0.0 if load.norm() == 0.0 else self._guess.load  # exactly zero without load
-        self.b_error = self._solver.improve(load, u, rtol=rtol, accuracy=0.0)
-        if self._guess.newest is not None:
-            self._guess.newest = self._guess.newest + u.array - self._guess.load
-        self._guess.load = u.array.copy()
-        self.b = self._jump.of_unknowns(u) - self.offset
+        u, guess = self._u, self._guess
+        u.array = 0.0 if self._load.norm() == 0.0 else guess.load  # exactly zero without load
+        self.b_error = self._solver.improve(self._load, u, rtol=rtol, accuracy=0.0)
+        if guess.newest is not None:
+            guess.newest = guess.newest + u.array - guess.load
+        guess.load = u.array.copy()
+        self.b = self.jump.of_unknowns(u) - self.offset
 
     @property
     def b_terms(self) -> Array:
@@ -124,8 +158,7 @@ class ElasticResponse:
         self._compute_b(FULL_ACCURACY)
         # includes rounding, which the iteration does not see
         self._u.array = self._guess.load
-        rounding = self._solver.error(self._system.f.x.petsc_vec, self._u)
-        self.b_error = max(self.b_error, rounding)
+        self.b_error = max(self.b_error, self._solver.error(self._load, self._u))
 
     def _check_units(self) -> None:
         """Check that squares of lengths and forces neither overflow nor underflow. Collective.
@@ -133,8 +166,8 @@ class ElasticResponse:
         Raises:
             InputError: the squares would overflow or underflow.
         """
-        force = self._system.f.x.petsc_vec.norm(PETSc.NormType.INFINITY)
-        largest = float(reduce_array(self._system.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
+        force = self._load.norm(PETSc.NormType.INFINITY)
+        largest = float(reduce_array(self.jump.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
         least = 1.0 / LARGEST_SIZE
         for name, size in (("load", force), ("displacement it causes", largest)):
             if size > LARGEST_SIZE or (largest < least and 0.0 < size < least):
@@ -158,39 +191,33 @@ class ElasticResponse:
                 larger if the solver does not reach it.
         """
         if self._solver.exact:
-            presses = float(self._inner(x, x)) > 0.0
-            return (self._operator.apply(x) - self.b if presses else -self.b), 0.0
+            presses = float(self.inner(x, x)) > 0.0
+            return (self.compliance.apply(x) - self.b if presses else -self.b), 0.0
         before = self._solver.krylov_iterations
-        self._u.array = self._guessed(x)
-        error = self._improve(x, self._u, accuracy)
-        self._operator.products += self._solver.krylov_iterations > before
+        error = self._solve_from_guess(x, self._u, FULL_ACCURACY, accuracy)
+        self.compliance.products += self._solver.krylov_iterations > before
         self._guess.newest = self._u.array.copy()
         r = self.gradient_of(self._u)
         terms = np.abs(self.offset) + np.abs(self.offset - r)
         # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
-        square = float(self._inner(terms, self._compliance.nodal_stiffness * terms))
+        square = float(self.inner(terms, self.compliance.nodal_stiffness * terms))
         return r, float(np.hypot(error, 0.5 * np.finfo(float).eps * np.sqrt(square)))
 
-    def _improve(self, x: Array, u: PETSc.Vec, accuracy: float) -> float:
-        """Solve K u = f - B'x from a guess, to an accuracy in the energy norm; return the error."""
-        return self._solver.improve(
-            self._jump.net_force(x), u, rtol=FULL_ACCURACY, accuracy=accuracy
-        )
+    def _solve_from_guess(self, x: Array, u: PETSc.Vec, rtol: float, accuracy: float) -> float:
+        """Set u to K^-1 (f - B'x), solved from the first guess; return its error. Collective."""
+        u.array = self._guessed(x)
+        return self._solver.improve(self.jump.net_force(x), u, rtol=rtol, accuracy=accuracy)
+
+    def _guessed(self, x: Array) -> Array:
+        """Return the displacement without contact for x = 0, else that of the last multipliers."""
+        newest = self._guess.newest
+        if newest is None or float(self.inner(x, x)) == 0.0:
+            return self._guess.load
+        return newest
 
     def gradient_of(self, u: PETSc.Vec) -> Array:
         """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
-        return self.offset - self._jump.of_unknowns(u)
-
-    def set_known_displacement(self, x: Array, u: PETSc.Vec) -> None:
-        """Set u to the displacement at x, and keep it. Collective.
-
-        A direct solver takes one solve with K; with an iterative solver, u is known if the gradient
-        at x was computed from it.
-        """
-        u.array = self._guessed(x)
-        self._solver.improve(self._jump.net_force(x), u, rtol=ROUGH, accuracy=0.0)
-        if self._solver.exact:
-            self._solved = x.copy(), u.array.copy()
+        return self.offset - self.jump.of_unknowns(u)
 
     def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
@@ -201,48 +228,30 @@ class ElasticResponse:
         of the displacements' difference: for a bound, gaps are closed by moving contact nodes
         alone, and this takes much energy if the difference is smooth and cells are flat.
 
-        Args:
-            x: (size,) multipliers.
-            u: vector for the result.
-            accuracy: largest error of u in the energy norm, without effect on a direct solver;
-                None: the accuracy in the solver's options.
+        The error of u in the energy norm is at most `accuracy`, without effect on a direct solver;
+        with None, the options of the solver determine it.
         """
         solved = self._solved
-        if solved is not None and float(self._inner(x - solved[0], x - solved[0])) == 0.0:
+        if solved is not None and float(self.inner(x - solved[0], x - solved[0])) == 0.0:
             u.array = solved[1]
         elif accuracy is None or self._solver.exact:
-            self._solver.solve(self._jump.net_force(x), u)
+            self._solver.solve(self.jump.net_force(x), u)
         else:
             u.array = self._guessed(x)
-            if self.error(x, u) > SLACK * accuracy:
-                self._improve(x, u, accuracy)
+            if self._solver.error(self.jump.net_force(x), u) > SLACK * accuracy:
+                self._solve_from_guess(x, u, FULL_ACCURACY, accuracy)
         self._guess.newest = u.array.copy()
-        return self.error(x, u)  # includes rounding, which an iteration does not see
-
-    def _guessed(self, x: Array) -> Array:
-        """Return the displacement without contact for x = 0, else that of the last multipliers."""
-        newest = self._guess.newest
-        if newest is None or float(self._inner(x, x)) == 0.0:
-            return self._guess.load
-        return newest
-
-    def error(self, x: Array, u: PETSc.Vec) -> float:
-        """Return |u - K^-1 (f - B'x)|_K, as the solver for K estimates it. Collective."""
-        return self._solver.error(self._jump.net_force(x), u)
+        # includes rounding, which an iteration does not see
+        return self._solver.error(self.jump.net_force(x), u)
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
         """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if less than its error.
 
         Rigid displacements of bodies on soft springs are left out. The first call may need a solve
         with K, if forces act and displacements are prescribed. Collective.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x.
-            error: error of the displacement in the energy norm.
         """
         energy, jump = self._load_terms
-        square = energy + float(self._inner(x, r + self.b - 2.0 * jump))
+        square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
         # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
@@ -263,115 +272,28 @@ class ElasticResponse:
 
         The first access takes a solve if forces act and displacements are prescribed.
         """
-        system, u = self._system, self._u
+        system, springs, u = self.jump.system, self.compliance.springs, self._u
         u.array = self._guess.load
         energy = 2.0 * system.strain_energy(u)
-        if self._compliance.springs is not None:
-            energy += self._compliance.springs.energy(u)
+        if springs is not None:
+            energy += springs.energy(u)
         jump = self.b + self.offset
         if not system.driven_by_forces:
             forces = system.assemble_forces()
             u.set(0.0)
             if forces.x.petsc_vec.norm() > 0.0:
                 self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
-            jump = self._jump.of_unknowns(u)
+            jump = self.jump.of_unknowns(u)
         return max(energy, 0.0), jump  # the energy of a rigid motion is rounding
 
-
-#: A node counts as about to change its contact state if a change of its traction by at most the
-#: error of the tractions leads to another state. This number times the largest traction is the
-#: least error that is assumed.
-EDGE = 1e-9
-
-
-class DualProgram:
-    """The quadratic program of one solve: A, b, Lambda, constraints and energies.
-
-    It is the input of the algorithms in `dolfinx_tresca.solvers`.
-
-    Attributes:
-        compliance: A, and all data that depend on K only.
-        jump: B.
-        operator: A.
-        reductions: sums over all ranks, and values on which all ranks agree.
-        response: the displacements caused by multipliers and the present load.
-        admissible: all multipliers that the present laws of friction allow.
-        equilibrium: equilibrium of tools, floating and softly held bodies; None if there are none.
-        constraints: linear equations of the multipliers: this equilibrium.
-        of_tools: positions of the motions of tools among the multipliers of the constraints.
-        history: slip and dissipation of the accepted load steps.
-        is_load_step: whether this is a load step of a process: a step was accepted before.
-    """
-
-    def __init__(
-        self,
-        compliance: ContactCompliance,
-        guess: InitialGuess,
-        slip_bounds: Sequence[NodalBounds],
-        history: SlipHistory | None = None,
-        tools: Tools | None = None,
-    ) -> None:
-        """Make the program for the system's present load, with one solve with K. Collective.
-
-        Args:
-            compliance: A for the present K.
-            guess: displacements of earlier solves.
-            slip_bounds: slip bounds at the nodes of each pair.
-            history: slip of the accepted load steps; None if there is none.
-            tools: obstacles and bolts with given forces; None if there are none.
-
-        Raises:
-            InputError: the load is too large or too small for floating-point numbers.
-            MechanismError: contact cannot hold a floating body or a tool.
-            StiffnessError: the solve failed.
-        """
-        jump = self.jump = compliance.jump
-        self.compliance, self.operator = compliance, compliance.operator
-        self.known_products = compliance.known_products
-        self.complete_products = compliance.complete_products
-        self.reductions, self.inner = jump.reductions, jump.reductions.inner
-        self.history = SlipHistory.none(jump) if history is None else history
-        self.is_load_step = self.history.begun
-        self.admissible = jump.bounded(slip_bounds)
-        self.equilibrium: Equilibrium | None = None
-        self.constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
-        self.of_tools = slice(0)
-        bodies, load = compliance.floating, jump.system.f.x.petsc_vec.array
-        if tools is not None:
-            if bodies is None:
-                modes = RigidBodyModes.none(jump.system.V, tools.bodies)
-                U, stiffness, jumps = (csr_array((n, 0)) for n in (len(load), 0, len(jump.gap)))
-                bodies = FloatingBodies(modes, U, stiffness, jumps, jump.row_nodes)
-            self.of_tools = slice(len(bodies.modes), None)
-            bodies = bodies.with_tools(tools)
-        if bodies is not None:
-            self.equilibrium = bodies.under(load, self.admissible, jump.reductions)
-            self.constraints = self.equilibrium.constraints
-        self.response = ElasticResponse(compliance, guess, self.history.origin)
-
-    @property
-    def b(self) -> Array:
-        """The linear term (size,)."""
-        return self.response.b
-
     def bounds(self, x: Array, r: Array) -> FeasibleSet:
-        """Return Lambda with the slip bounds at the pressures and slips of a point.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x, with the terms of the equality constraints.
-        """
+        """Return Lambda with the slip bounds at the pressures and slips of a point."""
         return self.admissible.at_point(x, r).section(x)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
 
         Here u* is the exact solution of the discrete problem.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) the gradient, computed from u.
-            error: error of r in the norm of `ElasticResponse.gradient`.
         """
         return self.compliance.certificate.energy_bound(self.bounds(x, r), x, r, error)
 
@@ -381,10 +303,6 @@ class DualProgram:
         The projection of these multipliers onto Lambda is the state that each node would take if
         the displacements of its neighbours were fixed: pressed or open, sticking or slipping. Not
         collective.
-
-        Args:
-            x: (size,) in Lambda.
-            r: (size,) gradient at x.
         """
         return x - self.compliance.nodal_stiffness * r
 
@@ -393,13 +311,9 @@ class DualProgram:
 
         If springs alone carry the loads, the exact tractions are zero. The computed tractions and
         their changes are then rounding errors of the jumps, and their ratio means nothing.
-
-        Args:
-            x: (size,) in Lambda.
-            r: (size,) gradient at x.
         """
         change, traction = self.local_change(x, r)
-        offset = self.response.offset
+        offset = self.offset
         stresses = self._largest_stress(
             self.compliance.nodal_stiffness * (np.abs(offset) + np.abs(offset - r))
         )
@@ -411,10 +325,6 @@ class DualProgram:
         """Return the largest change of tractions from x to the nodes' own minimisers. Collective.
 
         The minimisers are the projection of `decoupled_minimiser` onto Lambda.
-
-        Args:
-            x: (size,) in Lambda.
-            r: (size,) gradient at x.
 
         Returns:
             the change and the largest traction [stress].
@@ -435,16 +345,13 @@ class DualProgram:
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.
 
-        Args:
-            x: (size,) multipliers.
-            u: the displacement K^-1 (f - B'x), to which the rigid displacements are added.
-            c: (k,) multipliers of the constraints.
+        Before the call, u is K^-1 (f - B'x).
 
         Returns:
             the gradient including the term -G c of the constraints, and the energy norm of the
             rigid displacements that are still missing for equilibrium.
         """
-        r = self.response.gradient_of(u)
+        r = self.gradient_of(u)
         if self.equilibrium is None:
             return r, 0.0
         return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
@@ -463,16 +370,15 @@ class DualProgram:
         A direct solver needs one solve with K, an iterative solver needs no solve, since its
         displacement is known. The estimate is zero without displacement, and infinite if the error
         cannot be estimated from the form.
-
-        Args:
-            x: (size,) multipliers.
-            c: (k,) multipliers of the constraints.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf
         u = fem.Function(self.jump.system.V)
-        self.response.set_known_displacement(x, u.x.petsc_vec)
-        self.in_equilibrium(x, u.x.petsc_vec, c)
+        vector = u.x.petsc_vec
+        self._solve_from_guess(x, vector, ROUGH, 0.0)
+        if self.compliance.exact:
+            self._solved = x.copy(), vector.array.copy()
+        self.in_equilibrium(x, vector, c)
         u.x.scatter_forward()
         norm = self.norm_of(u)
         return total(self.compliance.estimator.cell_errors(u)) / norm if norm > 0.0 else 0.0
@@ -488,12 +394,6 @@ class DualProgram:
         D(x) = 1/2 u'K u - f'u - x'r with the gradient r = (d; s) - B u. A bound for the error of u
         is subtracted from D. All sums are over the degrees of freedom that are not prescribed. The
         work of the forces on tools is part of f'u, and their motions are part of B u.
-
-        Args:
-            x: multipliers in Lambda.
-            u: approximation of K^-1 (f - B'x).
-            c: multipliers of the constraints.
-            error: error of u in the energy norm.
         """
         system = self.jump.system
         force = system.K.createVecLeft()
@@ -501,7 +401,7 @@ class DualProgram:
         inside = np.where(system.prescribed, 0.0, u.array)
         elastic = float(self.inner(inside, system.signs * force.array))
         work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
-        r = self.response.gradient_of(u) - self.jump_of_tools(c)
+        r = self.gradient_of(u) - self.jump_of_tools(c)
         work += float(self.constraints.values[self.of_tools] @ c[self.of_tools])
         friction = reduce_array(self.jump.comm, self.bounds(x, r).dissipation(r))
         energy = 0.5 * elastic - work
@@ -509,16 +409,17 @@ class DualProgram:
         return energy + float(friction), dual
 
 
+#: A node counts as about to change its contact state if a change of its traction by at most the
+#: error of the tractions leads to another state. This number times the largest traction is the
+#: least error that is assumed.
+EDGE = 1e-9
+
+
 def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
     """Return how many rows and discs of this rank are about to change their state. Collective.
 
     Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
-
-    Args:
-        dual: the problem.
-        x: (size,) multipliers of the solution.
-        r: (size,) gradient at x.
 
     Returns:
         numbers of normal rows between pressed and open, and of discs between stick and slip.

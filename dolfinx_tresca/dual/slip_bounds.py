@@ -67,11 +67,6 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -
     tangents. If neither tangents nor semi-axes change on this rank, up to rounding, the result is
     `pair` itself.
 
-    Args:
-        V: the space of the displacement.
-        pair: the operators of the pair.
-        bounds: the slip bounds at the nodes of the pair.
-
     Raises:
         InputError: a direction is not finite, is zero, or is normal to the surface.
     """
@@ -221,11 +216,6 @@ class SlipBounds:
         Only bounds that are plain numbers must have values that are allowed: others may change
         before a solve.
 
-        Args:
-            friction: the law of friction whose bounds are checked.
-            nodes: (n,) contact nodes of this rank.
-            stress_rounding: see `nodal_bounds`.
-
         Raises:
             InputError: the bound or the direction is on another mesh; a function returns neither a
                 number (or a vector) nor one value for each point; a direction is given in 2D; or a
@@ -253,11 +243,8 @@ class SlipBounds:
     ) -> NodalBounds:
         """Return the present bound at nodes of this rank; 0 without friction. Collective.
 
-        Args:
-            friction: the law of friction whose bound is evaluated.
-            nodes: (n,) contact nodes of this rank.
-            stress_rounding: negative values of at most this size [stress] also count as zero, even
-                if they exceed `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
+        Negative values of at most the size `stress_rounding` [stress] also count as zero, even if
+        they exceed `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is

@@ -95,11 +95,7 @@ class Tools:
     ) -> Tools:
         """Compute G. Not collective.
 
-        Args:
-            motions: the motions.
-            bodies: the bodies of the mesh.
-            by_pair: `JumpOperator.by_pair`.
-            stress_scale: `JumpOperator.stress_scale`.
+        The arguments `by_pair` and `stress_scale` are those of `JumpOperator`.
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
@@ -259,17 +255,12 @@ class FloatingBodies:
 
         Collective.
 
-        Args:
-            load: this rank's part of f, the right-hand side of K u = f - B'lambda.
-            feasible_set: Lambda.
-            reductions: object that computes sums over the ranks.
-
         Raises:
             MechanismError: neither K nor contact resists a motion, or nothing balances the loads;
                 the message names the body and its motion, and the error's `motion` has the
                 displacements (owned degrees of freedom,) of all bodies.
         """
-        bodies, tools = self._bodies, self.tools
+        bodies, tools = self._body_of_motion, self.tools
         carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
         carrying = scaled_rows(self.jumps, carries.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
@@ -302,7 +293,7 @@ class FloatingBodies:
         return Equilibrium(self._balanced(constraints, factors, feasible_set), self, factors)
 
     @property
-    def _bodies(self) -> Indices:
+    def _body_of_motion(self) -> Indices:
         """The body of each mode; each tool counts as a further body."""
         if self.tools is None:
             return self.modes.body
@@ -324,11 +315,10 @@ class FloatingBodies:
             MechanismError: contact does not resist a motion.
         """
         floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
-        by_size = (
-            1.0 / np.where(length > 0.0, length, np.where(largest > 0.0, largest, 1.0))[floats]
-        )
+        sizes = np.where(length > 0.0, length, largest)[floats]
+        by_size = 1.0 / np.where(sizes > 0.0, sizes, 1.0)
         scaled = diags_array(by_size) @ gram[floats][:, floats] @ diags_array(by_size)
-        motions, more = _unresisted(csr_array(scaled), self._bodies[floats])
+        motions, more = _unresisted(csr_array(scaled), self._body_of_motion[floats])
         if motions.size:
             moved = np.zeros((len(length), motions.shape[1]))
             moved[floats] = by_size[:, None] * motions
@@ -348,11 +338,6 @@ class FloatingBodies:
         """Return the equations, without the rounding of loads that contact cannot balance.
 
         Collective.
-
-        Args:
-            constraints: the equations.
-            factors: (k,) see `Equilibrium`.
-            feasible_set: Lambda.
 
         Raises:
             MechanismError: no contact forces balance the loads.

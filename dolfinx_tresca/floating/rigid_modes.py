@@ -65,9 +65,10 @@ class RigidBodyModes:
         """The numbers of floating and of softly held bodies, as the end of a sentence."""
         floating = np.unique(self.body[self.floats])
         soft = np.setdiff1d(self.body, floating)
-        return f", {len(floating)} of them held by contact alone" * (
-            len(floating) > 0
-        ) + f", {len(soft)} of them held softly" * (len(soft) > 0)
+        kinds = (floating, "by contact alone"), (soft, "softly")
+        return "".join(
+            f", {len(bodies)} of them held {how}" for bodies, how in kinds if len(bodies)
+        )
 
     @property
     def dim(self) -> int:

@@ -144,7 +144,7 @@ class Bodies:
         """Return the displacement that forces cause beyond u, with one solve with K. Collective."""
         result = zero_like(u, "response")
         residual = self.linear.residual_of(forces.x.petsc_vec, u.x.petsc_vec)
-        dual.operator.solver.improve(residual, result.x.petsc_vec, rtol=rtol, accuracy=0.0)
+        dual.compliance.solver.improve(residual, result.x.petsc_vec, rtol=rtol, accuracy=0.0)
         residual.destroy()
         result.x.scatter_forward()
         return result
@@ -169,7 +169,7 @@ class Bodies:
         """
         cells, d = self.cells, self.cells.d
         given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
-        at_solution = dual.bounds(multipliers, dual.response.gradient_of(u.x.petsc_vec))
+        at_solution = dual.bounds(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
         surfaces = [

@@ -153,7 +153,7 @@ class ContactSurface:
         """
         V, pair, d = self._cells.V, rows.operators, self._cells.d
         stress = multipliers * dual.jump.stress_scale
-        origin = (dual.response.offset - dual.jump.gap) * dual.jump.length_scale
+        origin = (dual.offset - dual.jump.gap) * dual.jump.length_scale
         values = np.zeros((V.dofmap.index_map.size_local, 2 * d + 3))
         values[pair.nodes[pair.normal_node], 0] = stress[rows.normal]
         values[pair.nodes, 1] = 0.0 if self.bonded else bounds[rows.nodes]

@@ -89,7 +89,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact = contact
         self.comm, self.mesh = contact.comm, contact.linear.V.mesh
         self.prescribed: Mask = contact.linear.prescribed
-        self.solves_exactly: bool = contact.compliance.operator.exact
+        self.solves_exactly: bool = contact.compliance.exact
 
     @property
     def free_dofs(self) -> int:

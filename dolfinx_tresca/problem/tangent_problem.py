@@ -453,7 +453,7 @@ class TangentProblem(ContactSystem):
             return math.nan
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
-        solver = self.compliance.operator.solver
+        solver = self.compliance.solver
         solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
         if self._reference_block is not None:
             correction.x.scatter_forward()

@@ -129,11 +129,11 @@ def evaluate(
     The discretisation error is estimated on request. The slip history that is returned is the one
     after this solution, if it becomes a load step.
     """
-    B, response, comm = dual.jump, dual.response, dual.jump.comm
+    B, comm = dual.jump, dual.jump.comm
     lam = dual.bounds(solution.multipliers, solution.gradient)
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
-    error = response.end_at(solution.multipliers, solved, solution.displacement_tolerance)
+    error = dual.end_at(solution.multipliers, solved, solution.displacement_tolerance)
     stress, c = solution.multipliers * B.stress_scale, solution.c
     r, missing = dual.in_equilibrium(solution.multipliers, solved, c)
     in_frames.x.scatter_forward()
@@ -144,7 +144,7 @@ def evaluate(
     normal = np.flatnonzero(~B.is_tangential)
     closing = np.concatenate(B.closings(u))
     closing[B.row_nodes[normal]] += (by_tools * B.length_scale)[normal]
-    increment = jump + by_tools - response.offset
+    increment = jump + by_tools - dual.offset
     origin = dual.history.origin.copy()  # the next step starts from where tools are now
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     target = dual.decoupled_minimiser(solution.multipliers, r)
@@ -219,7 +219,7 @@ def evaluate(
     # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
     # rounding
     norm = energy_norm(dual, Point(solution.multipliers, c, r), error + missing)
-    if norm <= dual.response.energy_resolution():
+    if norm <= dual.energy_resolution():
         norm = 0.0
         log(
             comm,
@@ -240,7 +240,7 @@ def evaluate(
         dissipation=dissipation,
         total_dissipation=history.dissipation,
         energy_error_bound=relative_error(dual, bound, norm),
-        bound_is_rigorous=dual.operator.exact,
+        bound_is_rigorous=dual.compliance.exact,
         local_error=dual.local_error(solution.multipliers, r),
         bound_error=_bound_error(lam, moved, comm),
         cell_errors=cells,

@@ -4,8 +4,10 @@ Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory.
 
 The room imports numpy and scipy only, and can be read and tested with dense matrices.
 
-The problem is given by protocols (`problem.py`): A and the response to multipliers are operators of
-which every product is counted. Arrays have the rows of one rank; `Reductions` adds them up.
+The problem is given by protocols (`problem.py`): `DualProblem` for b, Lambda and the gradients at
+multipliers, and `Compliance` for A, of which every product is counted. Arrays have the rows of one
+rank; `Reductions` adds them up. The page of the room `dual` follows one solve from the user's call
+through these algorithms to the table.
 
 - `ModelNewton`: the default method. A *model* M equals A where products are known; Newton's method
   solves the problem with M, and the step to its solution takes one product, which improves M.
@@ -15,7 +17,8 @@ which every product is counted. Arrays have the rows of one rank; `Reductions` a
 - `FeasibleSet` is Lambda for given slip bounds, `FrictionCones` where bounds depend on pressure or
   slip; `Face`: which multipliers are pressed, stick, slip at a point.
 - `ProductStore`, `BlockBFGSModel`, `WholeModel`: known products, and the models made of them.
-- `SemismoothNewton`: Newton's method for the problem with a model.
+- `SemismoothNewton`: Newton's method for the problem with a model; its points are `NewtonPoint`s,
+  and `NodalMaps` are the sparse matrices of its steps.
 - `EqualityConstraints`, `balance`: equilibrium of floating bodies, and a start that satisfies it.
 - `NaturalResidual`, `History`: the measure and the criteria of convergence.
 - `paper.py`: the four algorithms of the paper.

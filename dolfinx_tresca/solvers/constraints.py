@@ -5,7 +5,6 @@ The page begins with sums over ranks and ends with factors of sparse matrices. N
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -47,35 +46,6 @@ class Reductions(InnerProduct, Protocol):
 def norm(space: InnerProduct, v: Array) -> float:
     """Return the Euclidean norm of v (size,) over all ranks. Collective."""
     return float(np.sqrt(space.inner(v, v)))
-
-
-class NodalPattern:
-    """The sparsity of a matrix that couples only multipliers of the same node."""
-
-    def __init__(self, nodes: Indices) -> None:
-        """Group multipliers.
-
-        Args:
-            nodes: (size,) the node of each multiplier.
-        """
-        size = len(nodes)
-        index = np.unique(nodes, return_inverse=True)[1]
-        member = csr_array((np.ones(size), (np.arange(size), index)), shape=(size, size))
-        self._pattern = csr_array(member @ member.T)
-        self._pattern.sort_indices()  # as operations with a matrix that shares its indices may do
-        # multipliers of one node have different colours
-        order = np.argsort(index, kind="stable")
-        numbers = np.bincount(index)
-        colour = np.empty(size, dtype=np.intp)
-        colour[order] = np.arange(size) - (np.cumsum(numbers) - numbers)[index[order]]
-        self._units = (colour[:, None] == np.arange(colour.max(initial=0) + 1)).astype(np.float64)
-        row = np.repeat(np.arange(size), np.diff(self._pattern.indptr))
-        self._entries = row, colour[self._pattern.indices]
-
-    def matrix(self, nodal: Callable[[Array], Array]) -> csr_array:
-        """Return the matrix (size, size) of a linear map of arrays (size, columns)."""
-        pattern, values = self._pattern, nodal(self._units)[self._entries]
-        return csr_array((values, pattern.indices, pattern.indptr), shape=pattern.shape, copy=True)
 
 
 @dataclass(frozen=True)
@@ -131,21 +101,6 @@ class EqualityConstraints:
     def along_absolute(self, x: Array) -> Array:
         """Return |G|'x, (k,) or (k, columns), with the absolute values of G."""
         return self.reductions.total(self.absolute.T @ x)
-
-    def hessian(self, derivative: Callable[[Array], Array]) -> csr_array:
-        """Return G'D G, (k, k), the same on all ranks.
-
-        Args:
-            derivative: function that applies D to an array (size, columns); D is symmetric and
-                couples only multipliers of the same node.
-        """
-        D = self._pattern.matrix(derivative)
-        return self.reductions.sparse_inner(self.columns, csr_array(D @ self.columns))
-
-    @cached_property
-    def _pattern(self) -> NodalPattern:
-        """The pattern of matrices that couple only multipliers of the same node."""
-        return NodalPattern(self.nodes)
 
     def softness_with(self, added: float) -> csr_array:
         """Return S + s (I - V V'), with the `soft_directions` V and a number s >= 0: (k, k)."""
@@ -266,26 +221,27 @@ def balance(
             equations are then equally soft, and the result does not depend on their softness.
         reserve: relative increase of e; a positive value asks for a margin.
     """
+    G, inner = constraints.columns, constraints.reductions.sparse_inner
     target = (1.0 + reserve) * constraints.values
     sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
     depth = 0.5 * LARGEST_REACTION**2 * float(sizes @ sizes) if start is None else np.inf
     vectors = constraints.soft_directions[1]
     C: csr_array = vectors @ vectors.T if softness is None else softness
-    y = np.zeros(constraints.columns.shape[0]) if start is None else start
+    y = np.zeros(G.shape[0]) if start is None else start
     agreed = constraints.reductions.from_first_rank
-    scale = 1.0 / np.sqrt((constraints.hessian(lambda v: v) + C).diagonal())
+    scale = 1.0 / np.sqrt((inner(G, G) + C).diagonal())
     scaling = diags_array(scale)
 
     def excess(z: Array) -> Array:
         """Return the gradient of phi."""
-        p = feasible_set.project(y + constraints.columns @ z)
+        p = feasible_set.project(y + G @ z)
         return agreed(constraints.along(p) + C @ z - target)
 
     z, damping, unbounded = np.zeros_like(target), DAMPING, False
     for _ in range(MOST_STEPS):
         gradient = excess(z)
         # two rounding errors of the residual: from summing it, and from G z
-        p = feasible_set.project(y + constraints.columns @ z)
+        p = feasible_set.project(y + G @ z)
         moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
         terms, of_sum = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
         small = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + sizes))
@@ -296,8 +252,7 @@ def balance(
         if (np.abs(gradient) <= small + cancelled).all():
             return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
         unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
-        derivative = feasible_set.projection_derivative(y + constraints.columns @ z)
-        hessian = constraints.hessian(derivative) + C
+        hessian = inner(G, feasible_set.projection_derivative(y + G @ z) @ G) + C
         step = -agreed(
             scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
         )

@@ -40,11 +40,8 @@ class NaturalResidual:
     def __init__(self, problem: DualProblem, rho: float, error: float = 0.0) -> None:
         """Measure the scale. Collective.
 
-        Args:
-            problem: the dual problem (38.4).
-            rho: step length.
-            error: error of the gradient at zero, in the norm sqrt(e'A^-1 e), if the solver cannot
-                reduce this error further; residuals below the error count as zero.
+        If the solver for K cannot reduce the error of the gradient at zero further, it is given as
+        `error`, and residuals below it count as zero.
         """
         self._problem, self._error, self._counted, self.rho = problem, error, 0.0, rho
         self.set_constraint_multipliers(np.zeros(len(problem.constraints)))
@@ -61,7 +58,7 @@ class NaturalResidual:
         self.scale = self.norm_at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         moved = self._problem.constraints.absolute @ np.abs(self.zero.c)
-        self._terms = norm(self._problem, self._problem.response.b_terms)
+        self._terms = norm(self._problem, self._problem.b_terms)
         size = self._terms + norm(self._problem, moved)
         self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = self.scale <= self.rounding
@@ -78,8 +75,7 @@ class NaturalResidual:
         It is if the projection of zero moves once each gradient is lowered by its largest error: a
         pressure could begin. `rho` is about 1 / sigma_max of A. Collective.
 
-        Args:
-            error: error of the gradient at zero, in the norm sqrt(e'A^-1 e).
+        The error is that of the gradient at zero.
         """
         # |e| is at most sqrt(sigma_max) times the norm sqrt(e'A^-1 e)
         largest, zero = error / float(np.sqrt(self.rho)), self.zero
@@ -114,27 +110,15 @@ def dual_energy(problem: DualProblem, point: Point) -> float:
 
 
 def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float:
-    """Return |u|_K [energy^(1/2)] of the displacement u; 0 if less than its error. Collective.
-
-    Args:
-        problem: the dual problem (38.4).
-        point: multipliers with their gradient.
-        error: error of the gradient in the norm sqrt(e'A^-1 e).
-    """
+    """Return |u|_K [energy^(1/2)] of the displacement u; 0 if less than its error. Collective."""
     constraints, c = problem.constraints, point.c
     soft = float(c @ constraints.softness @ c)
-    elastic = problem.response.energy_norm(point.x, point.r + constraints.columns @ c, error)
+    elastic = problem.energy_norm(point.x, point.r + constraints.columns @ c, error)
     return float(np.hypot(elastic, np.sqrt(max(soft, 0.0))))
 
 
 def energy_error(problem: DualProblem, point: Point, error: float = 0.0) -> float:
-    """Return a bound of the displacement's relative error in the energy norm. Collective.
-
-    Args:
-        problem: the dual problem (38.4).
-        point: multipliers in Lambda, with their gradient.
-        error: error of the gradient in the norm sqrt(e'A^-1 e).
-    """
+    """Return a bound of the displacement's relative error in the energy norm. Collective."""
     missing = problem.constraints.violation(point.x, point.c)
     bound = problem.energy_bound(point.x, point.r, error + missing)
     return relative_error(problem, bound, energy_norm(problem, point, error))
@@ -147,13 +131,8 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
     only rounding errors of displacements that cancel, and their ratio has no meaning.
 
     Collective.
-
-    Args:
-        problem: the dual problem (38.4).
-        bound: bound of the error in the energy norm [energy^(1/2)].
-        norm: energy norm of the displacement [energy^(1/2)].
     """
-    if bound == 0.0 or max(bound, norm) <= problem.response.energy_resolution():
+    if bound == 0.0 or max(bound, norm) <= problem.energy_resolution():
         return 0.0
     return bound / norm if norm > 0.0 else float("inf")
 
@@ -211,12 +190,7 @@ class History:
         self.errors: list[float] = []
 
     def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
-        """Record an iterate; return the status if the iteration ends here, else None. Collective.
-
-        Args:
-            point: multipliers in Lambda, with their gradient.
-            error: error of the gradient in the norm sqrt(e'A^-1 e).
-        """
+        """Record an iterate; return the status if the iteration ends, else None. Collective."""
         problem, residual = self._problem, self.residual
         value = residual.norm_at(point)
         self.errors.append(value)
@@ -226,7 +200,7 @@ class History:
         number = len(self.residuals) - 1
         stop = self._observe(
             Iteration(
-                number, problem.operator.products, self.residuals[-1], reached, wanted, self.q[-1]
+                number, problem.compliance.products, self.residuals[-1], reached, wanted, self.q[-1]
             )
         )
         if done:
@@ -253,10 +227,7 @@ class History:
     def solution(self, point: Point, status: ContactStatus, error: float | None) -> DualSolution:
         """Return the result with the last iterate as the solution. Collective.
 
-        Args:
-            point: multipliers in Lambda, with their gradient.
-            status: reason for the end of the iteration.
-            error: error of the gradient in the norm sqrt(e'A^-1 e); None: unknown.
+        If the error of the gradient is unknown, it is None.
         """
         return DualSolution(
             multipliers=point.x,
@@ -283,10 +254,7 @@ class History:
         belong to the last criterion. Unless the user set `accuracy=`, the first call with a small
         bound sets `accuracy` from the error of the mesh. Collective.
 
-        Args:
-            point: multipliers in Lambda, with their gradient.
-            error: error of the gradient in the norm sqrt(e'A^-1 e).
-            residual: natural residual, not divided by its scale.
+        The natural residual is not divided by its scale.
         """
         reached, wanted = 0.0, 1.0
         for reached, wanted in self.measures(point, error, residual):
@@ -303,10 +271,7 @@ class History:
         If the residual is rounding, there is no criterion with the default accuracy, or if zero is
         the solution.
 
-        Args:
-            point: multipliers in Lambda, with their gradient.
-            error: error of the gradient in the norm sqrt(e'A^-1 e).
-            residual: natural residual, not divided by its scale.
+        The natural residual is not divided by its scale.
         """
         problem, x, r = self._problem, point.x, point.r
         is_asked = self._options.rtol is not None or not self._mesh_decides
@@ -341,9 +306,6 @@ class History:
 
         The tolerable error is small compared with the error of the multipliers, since the local
         errors of the nodes are computed from the gradient.
-
-        Args:
-            point: multipliers in Lambda, with their gradient.
         """
         problem = self._problem
         norm = energy_norm(problem, point)

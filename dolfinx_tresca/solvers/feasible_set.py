@@ -7,12 +7,13 @@ bounds depend on pressure and slip. All functions are local to a rank.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Protocol, TypeAlias
 
 import numpy as np
-from scipy.sparse import csc_array
+from scipy.sparse import csr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
@@ -45,20 +46,12 @@ class Face:
     discs: FeasibleSet
 
     def radial_parts(self, v: Array) -> Array:
-        """Return the parts (n_discs,) or (n_discs, k) of v along the unit vectors `radial`."""
-        return self.discs.sums((v.T * self.radial).T)
+        """Return the parts (n_discs,) of v (size,) along the unit vectors `radial`."""
+        return self.discs.sums(v * self.radial)
 
     def along_radius(self, lengths: Array) -> Array:
-        """Return vectors along `radial` with the given lengths, (n_discs,) or (n_discs, k)."""
-        discs = self.discs
-        result = np.zeros((discs.size, *lengths.shape[1:]))
-        result[discs.tangential] = (lengths[discs.node].T * self.radial[discs.tangential]).T
-        return result
-
-    def project(self, v: Array) -> Array:
-        """Return the part P v of v, (size,) or (size, k), along the face."""
-        along = (v.T * self.free).T
-        return np.asarray(along - self.along_radius(self.radial_parts(along)))
+        """Return vectors (size,) along `radial` with the given lengths (n_discs,)."""
+        return self.radial * self.discs.at_tangents(lengths)
 
 
 @dataclass(frozen=True)
@@ -76,6 +69,8 @@ class FeasibleSet:
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
         radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in the units of
             lambda_tau.
+        normal_of: (n_discs,) position of the normal multiplier of the disc's node; -1: there is
+            none, or the disc is not that of the node's friction.
     """
 
     #: Whether slip bounds depend neither on pressures nor on slips, as in Tresca's law.
@@ -86,6 +81,7 @@ class FeasibleSet:
     tangential: Indices
     node: Indices
     radius: Array
+    normal_of: Indices
 
     def norms(self, v: Array) -> Array:
         """Return the norms (n_discs,) of the tangential parts of v (size,)."""
@@ -109,28 +105,35 @@ class FeasibleSet:
         """Return zeros (size,): slip bounds do not depend on slips."""
         return np.zeros(self.size)
 
-    def with_bound_change(
-        self, x: Array, face: Face, diagonal: Array
-    ) -> Callable[[Array, Array], Array]:
-        """Return the function (s, v) -> s: slip bounds do not change with steps s."""
-        return lambda step, v: step
+    def slopes(self, x: Array, where: Mask | bool = True) -> Array:
+        """Return zeros (2, n_discs): slip bounds change neither with pressures nor with slips."""
+        return np.zeros((2, len(self.radius)))
+
+    def at_normals(self, values: Array) -> Array:
+        """Return values (n_discs,) in the normal rows (size,) of their nodes, zero elsewhere."""
+        result, has = np.zeros(self.size), self.normal_of >= 0
+        result[self.normal_of[has]] = values[has]
+        return result
+
+    def at_tangents(self, values: Array) -> Array:
+        """Return values (n_discs,) in the tangential rows (size,) of the discs, zero elsewhere."""
+        result = np.zeros(self.size)
+        result[self.tangential] = values[self.node]
+        return result
 
     def dilation(self, x: Array, r: Array) -> Array:
-        """Return zeros (size,): slip bounds do not grow with pressures."""
-        return np.zeros(self.size)
-
-    def sums(self, v: Array) -> Array:
-        """Return the sum of the tangential entries of v in each disc, (n_discs,) or (n_discs, k).
+        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
 
         Args:
-            v: (size,) or (size, k); the columns are summed separately.
+            x: (size,) multipliers.
+            r: (size,) gradient at x; its tangential part is minus the slip.
         """
-        entries, n = v[self.tangential], len(self.radius)
-        if v.ndim == 1:
-            return np.bincount(self.node, entries, minlength=n).astype(np.float64)
-        size = len(entries)  # stored by columns, so that `node` needs no conversion
-        total = csc_array((np.ones(size), self.node, np.arange(size + 1)), shape=(n, size))
-        return np.asarray(total @ entries)
+        return self.at_normals(self.slopes(x)[0] * self.norms(r))
+
+    def sums(self, v: Array) -> Array:
+        """Return the sums (n_discs,) of the tangential entries of v (size,) in each disc."""
+        entries, count = v[self.tangential], len(self.radius)
+        return np.bincount(self.node, entries, minlength=count).astype(np.float64)
 
     @property
     def movable(self) -> Mask:
@@ -148,16 +151,44 @@ class FeasibleSet:
 
     def project(self, y: Array) -> Array:
         """Return P_Lambda(y), the point of the set nearest to y (size,)."""
-        norms = self.norms(y)
-        result = self._scale_to_radius(y, norms, where=norms > self.radius)
+        norms, factor = self.norms(y), np.ones_like(self.radius)
+        np.divide(self.radius, norms, out=factor, where=norms > self.radius)
+        result = self.scaled_discs(y, factor)
         result[self.normal] = np.maximum(y[self.normal], 0.0)
         return result
 
-    def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
-        """Return the slant derivative of P_Lambda at y, (38.8): a map of (size,) or (size, k)."""
-        face = self.face(y)
-        norms = self.norms(y)
-        return lambda v: self._scale_to_radius(face.project(v), norms, where=face.slip)
+    def projection_derivative(self, y: Array) -> csr_array:
+        """Return the slant derivative (size, size) of P_Lambda at y, (38.8)."""
+        face, factor = self.face(y), np.ones_like(self.radius)
+        np.divide(self.radius, self.norms(y), out=factor, where=face.slip)
+        scales = self.scaled_discs(np.ones(self.size), factor)
+        return self.nodal_matrix(scales * face.free, (-scales * face.radial, face.radial))
+
+    def nodal_matrix(self, diagonal: Array, *terms: tuple[Array, Array]) -> csr_array:
+        """Return a sparse matrix (size, size) that couples only multipliers of the same node.
+
+        Args:
+            diagonal: (size,) first term of the diagonal.
+            terms: vectors a and b (size,), of which a_i b_j is added to the entry (i, j).
+        """
+        pattern = self._pattern
+        columns, rows = pattern.indices, np.repeat(np.arange(self.size), np.diff(pattern.indptr))
+        values = np.where(rows == columns, diagonal[rows], 0.0)
+        for a, b in terms:
+            values += a[rows] * b[columns]
+        return csr_array((values, columns, pattern.indptr), shape=pattern.shape, copy=True)
+
+    @cached_property
+    def _pattern(self) -> csr_array:
+        """The sparsity (size, size) of `nodal_matrix`."""
+        size, has = self.size, np.flatnonzero(self.normal_of >= 0)
+        node = np.arange(size) + len(self.radius)
+        node[self.tangential], node[self.normal_of[has]] = self.node, has
+        entries = np.ones(size), node, np.arange(size + 1)
+        member = csr_array(entries, shape=(size, size + len(self.radius)))
+        pattern = csr_array(member @ member.T)
+        pattern.sort_indices()
+        return pattern
 
     def face(self, y: Array) -> Face:
         """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
@@ -169,15 +200,11 @@ class FeasibleSet:
         active[self.tangential] = stick[self.node]
         free = active.copy()
         free[self.tangential] = self.movable[self.node]
-
-        radial = np.zeros(self.size)
-        factor = np.zeros_like(norms)
-        np.divide(1.0, norms, out=factor, where=slip)
-        radial[self.tangential] = y[self.tangential] * factor[self.node]
-        return Face(stick, slip, active, free, radial, self)
+        factor = np.divide(1.0, norms, out=np.zeros_like(norms), where=slip)
+        return Face(stick, slip, active, free, y * self.at_tangents(factor), self)
 
     def on_face(self, v: Array, face: Face) -> Array:
-        """Return v moved to a face: open nodes to zero, slipping nodes to g times `radial`."""
+        """Return v moved to a face: open nodes to zero, slipping nodes to their circles."""
         radius = np.where(face.slip, self.radius, 0.0)  # infinity times zero is NaN
         return np.asarray(np.where(face.active, v, 0.0) + face.along_radius(radius))
 
@@ -190,38 +217,15 @@ class FeasibleSet:
         """
         kappa = np.zeros_like(self.radius)
         with np.errstate(over="ignore"):
-            np.divide(
-                np.maximum(-face.radial_parts(gradient), 0.0),
-                self.radius,
-                out=kappa,
-                where=face.slip,
-            )
-        result = np.zeros(self.size)
-        result[self.tangential] = kappa[self.node]
-        return result
+            inwards = np.maximum(-face.radial_parts(gradient), 0.0)
+            np.divide(inwards, self.radius, out=kappa, where=face.slip)
+        return self.at_tangents(kappa)
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v (size,) or (size, k) with the tangential parts of each disc times a factor.
-
-        Args:
-            v: vectors.
-            factor: (n_discs,) factor for the tangential parts of each disc.
-        """
+        """Return v (size,) with its tangential parts times the factor (n_discs,) of their disc."""
         result = v.copy()
-        result[self.tangential] = (result[self.tangential].T * factor[self.node]).T
+        result[self.tangential] *= factor[self.node]
         return result
-
-    def _scale_to_radius(self, v: Array, norms: Array, where: Mask) -> Array:
-        """Return v (size,) or (size, k) with tangential parts times radius / norms.
-
-        Args:
-            v: vectors.
-            norms: (n_discs,) norms by which tangential parts are divided.
-            where: (n_discs,) discs whose tangential parts change; other parts stay.
-        """
-        factor = np.ones_like(self.radius)
-        np.divide(self.radius, norms, out=factor, where=where)
-        return self.scaled_discs(v, factor)
 
 
 class Curve(Protocol):
@@ -321,8 +325,6 @@ class FrictionCones(FeasibleSet):
 
     Attributes:
         radius: (n_discs,) c >= 0, maybe infinite.
-        normal_of: (n_discs,) position of the normal multiplier with which each bound grows; -1 for
-            bounds that do not depend on a pressure.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip; None: there are none.
@@ -332,7 +334,6 @@ class FrictionCones(FeasibleSet):
 
     has_given_bounds = False
 
-    normal_of: Indices
     coefficient: Array
     limit: Array
     curves: NodalCurves | None = None
@@ -370,42 +371,12 @@ class FrictionCones(FeasibleSet):
         """Return Lambda with the bounds at the pressures of x (size,)."""
         pressure = self._pressures(x)
         radius = self._bound(pressure, self._coefficients(pressure))
-        return FeasibleSet(self.size, self.normal, self.tangential, self.node, radius)
+        rows = self.size, self.normal, self.tangential, self.node
+        return FeasibleSet(*rows, radius, self.normal_of)
 
     def slip_along(self, face: Face) -> Array:
         """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
         return face.along_radius(np.zeros_like(self.radius) + self.slip)
-
-    def with_bound_change(
-        self, x: Array, face: Face, diagonal: Array
-    ) -> Callable[[Array, Array], Array]:
-        """Return the function (s, v) -> s + Q s + S v, for Newton steps.
-
-        Here s is a step along the face, and v the right-hand side of its equation: for example
-        s = (D + C)^-1 P v with the curvature C of the circles. Q maps the change of a slipping
-        node's pressure to the change of its bound, along the node's tangential multiplier. S maps v
-        to the change of the bound that is due to the slip: along the multiplier, v is the change of
-        the slip for s = 0. The change of the bound itself changes the slip, by -D times the change
-        of the bound. So both maps contain the factor 1 / (1 + h D), with the derivative h of the
-        bound with respect to the slip. Both maps take arrays (size,) or (size, k).
-
-        Args:
-            x: (size,) multipliers.
-            face: face with the projector P.
-            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
-        """
-        slopes = self.slopes(x, face.slip)
-        damping = 1.0 + slopes[1] * self.disc_means(diagonal)
-        slope, by_slip = slopes / np.where(damping == 0.0, 1.0, damping)
-        follows = bool(by_slip.any())
-
-        def change(step: Array, v: Array) -> Array:
-            growth = (self._pressures(step).T * slope).T
-            if follows:
-                growth += (face.radial_parts(v).T * by_slip).T
-            return step + face.along_radius(growth)
-
-        return change
 
     def project(self, y: Array) -> Array:
         """Return the point of the set nearest to y (size,)."""
@@ -416,28 +387,22 @@ class FrictionCones(FeasibleSet):
         result[self.normal_of[has]] = pressure[has]
         return result
 
-    def projection_derivative(self, y: Array) -> Callable[[Array], Array]:
-        """Return a slant derivative of `project` at y: a map of (size,) or (size, k)."""
+    def projection_derivative(self, y: Array) -> csr_array:
+        """Return a slant derivative (size, size) of `project` at y."""
         _, ratio, jacobian = self._nearest(y)
-        has, t, norms = self.normal_of >= 0, self.tangential, self.norms(y)
-        direction = np.zeros_like(y)
-        direction[t] = y[t] / np.where(norms > 0.0, norms, 1.0)[self.node]
-        pressed = np.ones(self.size)
-        pressed[self.normal] = y[self.normal] > 0.0
-
-        def derivative(v: Array) -> Array:
-            if self.size == 0:  # reshape cannot infer a number of columns
-                return v
-            columns = v.reshape(self.size, -1)
-            radial = self.sums(direction[:, None] * columns)
-            pressure = np.where(has[:, None], columns[self.normal_of], 0.0)
-            result: Array = self.scaled_discs(columns * pressed[:, None], ratio)
-            moved, along = jacobian[:, 0] * pressure + jacobian[:, 1] * radial
-            result[t] += direction[t, None] * (along - ratio[:, None] * radial)[self.node]
-            result[self.normal_of[has]] = moved[has]
-            return result.reshape(v.shape)
-
-        return derivative
+        norms = self.norms(y)
+        radial = y * self.at_tangents(1.0 / np.where(norms > 0.0, norms, 1.0))
+        normal = self.at_normals(np.ones_like(norms))
+        # the other terms have the parts along the pressure and along the radius
+        diagonal = self.scaled_discs(np.ones(self.size), ratio)
+        diagonal[self.normal] = y[self.normal] > 0.0
+        diagonal[normal > 0.0] = 0.0
+        jacobian[1, 1] -= ratio
+        of_pressure, of_radius = (
+            self.at_normals(by_pressure) + self.scaled_discs(radial, by_radius)
+            for by_pressure, by_radius in jacobian
+        )
+        return self.nodal_matrix(diagonal, (normal, of_pressure), (radial, of_radius))
 
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
         """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g.
@@ -454,18 +419,6 @@ class FrictionCones(FeasibleSet):
         if self.curves is not None:
             result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
         return np.where(grows, result, 0.0)
-
-    def dilation(self, x: Array, r: Array) -> Array:
-        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x; its tangential part is minus the slip.
-        """
-        result, has = np.zeros_like(x), self.normal_of >= 0
-        opening = self.slopes(x)[0] * self.norms(r)
-        result[self.normal_of[has]] = opening[has]
-        return result
 
     def exceed_limit(self, x: Array) -> Mask:
         """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
@@ -488,13 +441,9 @@ class FrictionCones(FeasibleSet):
     def _pressures(self, x: Array) -> Array:
         """Return the normal multiplier on which each bound depends; 0 if there is none.
 
-        Args:
-            x: (size,) or (size, k) multipliers.
-
-        Returns:
-            (n_discs,) or (n_discs, k).
+        The result has the shape (n_discs,).
         """
-        result = np.zeros((len(self.normal_of), *x.shape[1:]))
+        result = np.zeros(len(self.normal_of))
         has = self.normal_of >= 0
         result[has] = x[self.normal_of[has]]
         return result
@@ -512,7 +461,7 @@ class FrictionCones(FeasibleSet):
         Returns:
             normal multipliers (n_discs,); norms of the tangential multipliers, divided by their
             norms before the projection (n_discs,), 1 if that norm is zero; and the derivative
-            (2, 2, n_discs, 1) of pressure and radius with respect to their values before.
+            (2, 2, n_discs) of pressure and radius with respect to their values before.
         """
         given, nodes = np.array([self._pressures(y), self.norms(y)]), np.arange(len(self.radius))
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)
@@ -535,4 +484,4 @@ class FrictionCones(FeasibleSet):
         moves = ((along > 0.0) & (along < lengths))[edge, nodes]
         direction = np.where(moves, directions[edge, :, nodes].T, 0.0)
         jacobian = np.where(inside, np.eye(2)[:, :, None], direction[:, None] * direction)
-        return pressure, ratio, jacobian[..., None]
+        return pressure, ratio, jacobian

@@ -108,15 +108,10 @@ class Iterate:
     error: float
 
     def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
-        """Begin at zero, where no product is needed.
-
-        Args:
-            problem: the dual problem (38.4), for products and gradients.
-            store: known products, to which new products are added.
-        """
+        """Begin at zero, where no product is needed."""
         self._problem, self.store, self.finest, self.learned = problem, store, 0.0, True
         self.must_descend = problem.admissible.has_given_bounds and len(problem.constraints) == 0
-        self._is_exact = problem.operator.exact
+        self._is_exact = problem.compliance.exact
         # the requested error of a gradient is a part of the length of the last step; the solver
         # for K does not reach less than `_least`
         self._part, self._length, self._least = FORCING, 0.0, 0.0
@@ -126,7 +121,7 @@ class Iterate:
         """Set the point to zero, where the gradient is -b. Not collective."""
         b = self._problem.b
         self.x, self.c, self.r = np.zeros_like(b), np.zeros(len(self._problem.constraints)), -b
-        self.error = self._problem.response.b_error
+        self.error = self._problem.b_error
 
     @property
     def point(self) -> Point:
@@ -136,9 +131,7 @@ class Iterate:
     def move(self, direction: Array, c: Array) -> None:
         """Take a step, for which the product with A is computed. Collective.
 
-        Args:
-            direction: (size,) change of the multipliers.
-            c: (k,) multipliers of the constraints at the end of the step.
+        The multipliers of the constraints are c at the end of the step.
         """
         self.c = c
         if self._is_exact:
@@ -168,7 +161,7 @@ class Iterate:
         # subtracting the known part from a product of the whole direction would leave rounding
         # errors that grow from pair to pair
         if float(self._problem.inner(new, new)) > 0.0:
-            added = self._problem.operator.apply(new)
+            added = self._problem.compliance.apply(new)
             self.store.add(new, added)
             product = product + added
         self.learned = len(self.store) != before
@@ -196,16 +189,16 @@ class Iterate:
         Known products may determine the gradient, for example if a solve with another load has
         ended at these multipliers.
         """
-        response, b = self._problem.response, self._problem.b
+        problem, b = self._problem, self._problem.b
         product, error = self.store.product(x)
         relative = FULL_ACCURACY if self._is_exact else ROUGH
         wanted = max(relative * self._energy_norm(x), self.finest)
-        self.x, self.r, self.error = x, product - b, error + response.b_error
+        self.x, self.r, self.error = x, product - b, error + problem.b_error
         if self.error > wanted:
             # an accuracy below the error of b is useless: for tiny multipliers, the product would
             # consist of the error of b only
-            self.r, self.error = response.gradient(x, max(wanted, response.b_error))
-            self.store.add(x, self.r + b, self.error + response.b_error)
+            self.r, self.error = problem.gradient(x, max(wanted, problem.b_error))
+            self.store.add(x, self.r + b, self.error + problem.b_error)
 
     def _energy_norm(self, x: Array) -> float:
         """Return the energy norm of x (size,), with the model in place of A. Collective."""
@@ -213,7 +206,7 @@ class Iterate:
 
     def _gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return a gradient and its error; record the error if the solver cannot reduce it."""
-        r, error = self._problem.response.gradient(x, accuracy)
+        r, error = self._problem.gradient(x, accuracy)
         if error > SLACK * accuracy:
             self._least = max(self._least, error)
         return r, error
@@ -277,14 +270,14 @@ class ModelNewton:
 
         The first product is that of b with the near field, if there is one, and otherwise with A.
         """
-        self.store, b = self.problem.known_products(), self.problem.b
+        self.store, b = self.problem.compliance.known_products(), self.problem.b
         store = self.store
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
             if store.largest_ritz_value == 0.0 and store.near is not None:
                 store.near.add(b, store.apply_near(b))
             elif store.largest_ritz_value == 0.0:
-                store.add(b, self.problem.operator.apply(b))
+                store.add(b, self.problem.compliance.apply(b))
 
     def begin_at(self, start: Array) -> NewtonPoint | None:
         """Begin at the start, or at zero if the residual is larger at the start. Collective.
@@ -298,7 +291,7 @@ class ModelNewton:
         self.iterate = iterate = Iterate(problem, self.store)
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
         if residual.zero_is_undecided(iterate.error):
-            problem.response.refine_b()
+            problem.refine_b()
             iterate.return_to_zero()
             self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
@@ -348,11 +341,10 @@ class ModelNewton:
         Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
         Collective.
 
-        Args:
-            target: newest solution of the model, at whose pressures friction may be too weak.
+        At the pressures of `target`, the newest solution of the model, friction may be too weak.
         """
         iterate, history, residual = self.iterate, self.history, self.residual
-        if not self.problem.operator.exact:
+        if not self.problem.compliance.exact:
             done = history.reached(iterate.point, 0.0, residual.norm_at(iterate.point))[2]
             iterate.refine(history.tolerable_error(iterate.point) if done else np.inf)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
@@ -380,10 +372,10 @@ class ModelNewton:
 
         Collective.
         """
-        if not isinstance(self.store, ProductStore) or not self.problem.complete_products():
+        compliance = self.problem.compliance
+        if not isinstance(self.store, ProductStore) or not compliance.complete_products():
             return False
-        self.store = self.problem.known_products()
-        self.iterate.store = self.store
+        self.store = self.iterate.store = compliance.known_products()
         self.misses, self.completed_at = 0, len(self.history.residuals)
         self.iterate.learned = True
         return True

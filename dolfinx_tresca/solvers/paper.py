@@ -35,7 +35,7 @@ def ssn(run: Run) -> DualSolution:
         derivative = run.feasible_set.projection_derivative(y)
         change = _bicgstab(
             problem,
-            lambda v: v - derivative(v - rho * problem.operator.apply(v)),
+            lambda v: v - derivative @ (v - rho * problem.compliance.apply(v)),
             run.feasible_set.project(y) - run.x,
             rho * tolerance,
         )
@@ -78,7 +78,7 @@ def gimssn(run: Run) -> DualSolution:
         residual = run.history.residual
         while True:
             move = feasible_set.project(run.target) - run.x
-            product = problem.operator.apply(move)
+            product = problem.compliance.apply(move)
             curvature = float(problem.inner(product, move) / problem.inner(move, move))
             if curvature * residual.rho < 2.0:
                 break
@@ -122,7 +122,7 @@ class Run:
         self, problem: DualProblem, start: Array, options: SolverOptions, observe: Observe
     ) -> None:
         """Begin at the projected start, or at zero if the residual is smaller there. Collective."""
-        problem.response.refine_b()  # every gradient contains b
+        problem.refine_b()  # every gradient contains b
         residual = NaturalResidual(problem, options.step_factor / largest_eigenvalue(problem))
         self.problem, self.options = problem, options
         self.history = History(problem, options, observe, residual)
@@ -138,9 +138,7 @@ class Run:
         return self.x - self.history.residual.rho * self.r
 
     def iterate(
-        self,
-        step: Callable[[float], tuple[Array, Array]],
-        precision: Callable[[], float],
+        self, step: Callable[[float], tuple[Array, Array]], precision: Callable[[], float]
     ) -> DualSolution:
         """Take steps until a status ends the iteration, and return the solution. Collective.
 
@@ -159,7 +157,7 @@ class Run:
             if norm(problem, self.x - projected) > PRODUCT_ROUNDING * norm(problem, self.x):
                 r = gradient(problem, projected)
             point = Point(projected, np.empty(0), r)
-            status = history.check_convergence(point, problem.response.b_error)
+            status = history.check_convergence(point, problem.b_error)
             if status is None and history.is_idle(2 * PATIENCE, PROGRESS):
                 status = ContactStatus.STAGNATED
             if status is not None:
@@ -171,7 +169,7 @@ class Run:
         problem, target = self.problem, self.target
         face = self.feasible_set.face(target)
         fixed = np.where(face.active, self.x, self.feasible_set.project(target))
-        r = self.r + problem.operator.apply(fixed - self.x)
+        r = self.r + problem.compliance.apply(fixed - self.x)
         change, product = conjugate_gradients(problem, face.active, r, tolerance)
         return fixed + change, r + product
 
@@ -180,7 +178,7 @@ def gradient(problem: DualProblem, x: Array) -> Array:
     """Return r = A x - b, without a product if x is zero. Collective."""
     if float(problem.inner(x, x)) == 0.0:
         return -problem.b
-    return problem.operator.apply(x) - problem.b
+    return problem.compliance.apply(x) - problem.b
 
 
 def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20) -> float:
@@ -198,7 +196,7 @@ def largest_eigenvalue(problem: DualProblem, rtol: float = 0.02, most: int = 20)
     x: Array = problem.b if norm(problem, problem.b) > 0.0 else np.ones_like(problem.b)
     store, value = ProductStore(problem.reductions, np.ones_like(x)), 0.0
     for _ in range(most):
-        product = problem.operator.apply(x)
+        product = problem.compliance.apply(x)
         store.add(x, product)
         before, value = value, store.largest_ritz_value
         if value <= (1.0 + rtol) * before:
@@ -262,7 +260,7 @@ def conjugate_gradients(
         if np.sqrt(squared) <= tolerance:
             break
         direction, before = residual + (squared / before) * direction, squared
-        image = problem.operator.apply(direction)
+        image = problem.compliance.apply(direction)
         curvature = float(problem.inner(direction, image))
         # a curvature that is not positive is rounding: A is positive definite
         if curvature <= 0.0 or not feasible(step + squared / curvature * direction):

@@ -18,7 +18,7 @@ KnownProducts: TypeAlias = ProductStore | WholeModel
 Model: TypeAlias = BlockBFGSModel | WholeModel
 
 
-class Operator(Protocol):
+class Compliance(Protocol):
     """The symmetric positive semidefinite matrix A, known by its products."""
 
     @property
@@ -32,9 +32,32 @@ class Operator(Protocol):
     def apply(self, x: Array) -> Array:
         """Return A x (size,). Collective."""
 
+    def known_products(self) -> KnownProducts:
+        """Return the store of known products; the first call may compute some. Collective."""
 
-class Response(Protocol):
-    """Jump and energy of the displacement for the present load and given multipliers."""
+    def complete_products(self) -> bool:
+        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
+
+
+class DualProblem(InnerProduct, Protocol):
+    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
+
+    If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
+    that minimises q over its own Lambda.
+
+    In all methods, and in all functions of this room, x (size,) are multipliers, c (k,) are those
+    of the constraints, and r (size,) is the gradient A x - b - G c at x; a `Point` has all three.
+    The error e of a gradient is given in the norm sqrt(e'A^-1 e), which is the energy norm of the
+    error of the displacement.
+    """
+
+    @property
+    def compliance(self) -> Compliance:
+        """A."""
+
+    @property
+    def b(self) -> Array:
+        """The linear term (size,)."""
 
     @property
     def b_error(self) -> float:
@@ -46,6 +69,25 @@ class Response(Protocol):
 
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K. Collective."""
+
+    @property
+    def reductions(self) -> Reductions:
+        """Sums over all ranks, and values on which all ranks agree."""
+
+    @property
+    def admissible(self) -> FeasibleSet:
+        """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
+
+    def bounds(self, x: Array, r: Array) -> FeasibleSet:
+        """Return Lambda with the slip bounds at the pressures and slips of a point."""
+
+    @property
+    def is_load_step(self) -> bool:
+        """Whether this is a load step, whose solution continues the solution of the last step."""
+
+    @property
+    def constraints(self) -> EqualityConstraints:
+        """The equations that multipliers satisfy in addition to Lambda; there may be none."""
 
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
@@ -60,74 +102,16 @@ class Response(Protocol):
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
         """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
 
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of r in the norm of `gradient`.
+        Here r is A x - b.
         """
 
     def energy_resolution(self) -> float:
         """Return the energy norm below which displacements are rounding errors. Collective."""
 
-
-class DualProblem(InnerProduct, Protocol):
-    """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
-
-    If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
-    that minimises q over its own Lambda.
-    """
-
-    @property
-    def operator(self) -> Operator:
-        """A."""
-
-    @property
-    def b(self) -> Array:
-        """The linear term (size,)."""
-
-    @property
-    def response(self) -> Response:
-        """The displacement that belongs to multipliers."""
-
-    @property
-    def reductions(self) -> Reductions:
-        """Sums over all ranks, and values on which all ranks agree."""
-
-    @property
-    def admissible(self) -> FeasibleSet:
-        """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
-
-    def bounds(self, x: Array, r: Array) -> FeasibleSet:
-        """Return Lambda with the slip bounds at the pressures and slips of a point.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x, with the terms of the equality constraints.
-        """
-
-    @property
-    def is_load_step(self) -> bool:
-        """Whether this is a load step, whose solution continues the solution of the last step."""
-
-    @property
-    def constraints(self) -> EqualityConstraints:
-        """The equations that multipliers satisfy in addition to Lambda; there may be none."""
-
-    def known_products(self) -> KnownProducts:
-        """Return the store of known products; the first call may compute some. Collective."""
-
-    def complete_products(self) -> bool:
-        """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
-
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
         """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
 
         Here u* is the displacement of the exact solution.
-
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
-            error: error of r in the norm of `Response.gradient`.
         """
 
     def local_error(self, x: Array, r: Array) -> float:
@@ -135,10 +119,6 @@ class DualProblem(InnerProduct, Protocol):
 
         The local minimiser of a node minimises q with fixed displacements of its neighbours. The
         distance is relative to the largest traction of all nodes.
-
-        Args:
-            x: (size,) multipliers in Lambda.
-            r: (size,) gradient at x.
         """
 
     def discretisation_error(self, x: Array, c: Array) -> float:

@@ -12,9 +12,9 @@ from scipy.linalg import block_diag, eigh
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, issparse
 from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Matrix, dense
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix, dense, scaled_rows
 from dolfinx_tresca._base.tolerances import MOST_STEPS
-from dolfinx_tresca.solvers.constraints import NodalPattern, Reductions
+from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 
 #: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
@@ -34,8 +34,8 @@ class NodalMaps:
     """The maps T and R in the equations T M s + R s - T G c = T r and G's + S c = e.
 
     Here M is the model of A, and G and S belong to equality constraints. Such equations determine
-    Newton steps s on a face, and steps towards an adjoint solution. Each map couples only
-    multipliers of the same node, and is applied to arrays (size,) or (size, columns).
+    Newton steps s on a face, and steps towards an adjoint solution. The maps are sparse matrices
+    (size, size), which couple only multipliers of the same node.
 
     Attributes:
         test: T, applied to both sides of the equation.
@@ -44,49 +44,50 @@ class NodalMaps:
         inverse: (T D + R)^-1 T with the diagonal D of the model.
     """
 
-    test: Callable[[Array], Array]
-    added: Callable[[Array], Array]
-    inverse: Callable[[Array], Array]
+    test: csr_array
+    added: csr_array
+    inverse: csr_array
 
     @classmethod
     def on_face(
-        cls,
-        cones: FeasibleSet,
-        x: Array,
-        face: Face,
-        diagonal: Array,
-        stiffness: Array,
+        cls, cones: FeasibleSet, x: Array, face: Face, diagonal: Array, stiffness: Array
     ) -> NodalMaps:
         """Return the maps for Newton steps s on a face. Not collective.
 
-        With the projector P onto the face, the diagonal C of curvatures, the change Q of slip
-        bounds with the pressure and their change H with the slip, s solves
+        With the projector P onto the face, the diagonal C of curvatures, and the changes Q and H of
+        slip bounds with the pressure and with the slip, s solves
 
             P (M s + C s - G c) = P r,  s - (I + Q) P s = H (r - M s + G c).
 
+        Let n be the unit vector in the normal row of a slipping node, t its unit vector `radial`,
+        and g' and h the derivatives of its bound with respect to pressure and slip. Then Q is the
+        sum of g' t n', and H that of h t t', over all nodes: multipliers follow their bounds. A
+        change of a bound itself changes the slip, by -D times the change. With D in place of M,
+        Q P s and H r are therefore divided by 1 + h D.
+
         Args:
-            cones: the friction cones, with the functions Q and H.
+            cones: the friction cones, whose bounds change; with Lambda, Q and H are zero.
             x: (size,) point on the face.
             face: the face.
-            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
+            diagonal: (size,) D. `inverse` is exact if D is the same for all degrees of freedom of a
+                friction disc.
             stiffness: (size,) C >= 0, the same for all degrees of freedom of a disc.
         """
         stiffness = np.minimum(stiffness, STIFFEST * diagonal)
-        project, weight = face.project, np.reciprocal(diagonal + stiffness)
-        follow = cones.with_bound_change(x, face, diagonal)
-        change = cones.with_bound_change(x, face, np.zeros_like(diagonal))
-
-        def scaled(factors: Array, v: Array) -> Array:
-            return np.asarray((factors * v.T).T)
-
-        def added(v: Array) -> Array:
-            along = project(v)
-            return scaled(stiffness, along) + scaled(diagonal, v - change(along, np.zeros_like(v)))
-
+        weight, radial, free = np.reciprocal(diagonal + stiffness), face.radial, face.free
+        slope, by_slip = cones.slopes(x, face.slip)
+        damping = 1.0 + by_slip * cones.disc_means(diagonal)
+        damping[damping == 0.0] = 1.0
+        by_pressure = free * cones.at_normals(slope)
+        damped = weight * free * cones.at_normals(slope / damping)
+        damped += face.along_radius(by_slip / damping)
+        matrix, zeros, on_radius = cones.nodal_matrix, np.zeros_like(x), diagonal * radial
+        project = matrix(free.astype(np.float64), (radial, -radial))
+        fixed = matrix(np.where(free, 0.0, diagonal), (on_radius, radial - by_pressure))
         return cls(
-            test=lambda v: project(v) + scaled(diagonal, change(np.zeros_like(v), v)),
-            added=added,
-            inverse=lambda v: follow(scaled(weight, project(v)), v),
+            test=project + matrix(zeros, (on_radius, face.along_radius(by_slip))),
+            added=scaled_rows(project, stiffness) + fixed,
+            inverse=scaled_rows(project, weight) + matrix(zeros, (radial, damped)),
         )
 
 
@@ -122,13 +123,8 @@ class BlockBFGSModel:
     ) -> None:
         """Update D with known products. Collective.
 
-        Args:
-            reductions: sums over the ranks.
-            diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
-            W: (size, k) vectors with known products.
-            Y: (size, k) products A W, with W'Y = I.
-            base: model that takes the place of D and is not changed; its diagonal replaces
-                `diagonal`.
+        The columns of W and Y (size, k) satisfy W'Y = I. A model given as `base` takes the place of
+        D, and is not changed; its diagonal replaces `diagonal`.
         """
         self._inner, self._agreed = reductions.inner, reductions.from_first_rank
         self.diagonal: Array = diagonal if base is None else base.diagonal
@@ -177,8 +173,7 @@ class BlockBFGSModel:
         """
         unit = self._unit
         columns = np.column_stack([self._U, unit * G.toarray()])
-        scaled = maps.inverse(columns)
-        without_pairs = maps.inverse(right)
+        scaled, without_pairs = maps.inverse @ columns, maps.inverse @ right
         capacitance = self._inner(columns, scaled)
         k = len(missing)
         rank = len(capacitance) - k
@@ -382,11 +377,7 @@ class ProductStore:
         return max(float(least.max()), of_near_field)
 
     def apply_with_near(self, x: Array) -> Array:
-        """Return M x (size,), with the near field D in `model`, and keep the product. Collective.
-
-        Args:
-            x: (size,) vector.
-        """
+        """Return M x (size,) with the near field D in `model`; keep the product. Collective."""
         assert self.near is not None
         new, product = self.split(x)
         image = self.apply_near(new)
@@ -434,7 +425,6 @@ class WholeModel:
         reductions: Reductions,
         rows: Matrix,
         begin: int,
-        nodes: Indices,
         local_compliance: Array,
         solve: Callable[[csr_array, Array], Array],
     ) -> None:
@@ -444,7 +434,6 @@ class WholeModel:
             reductions: sums over the ranks.
             rows: (size, n) this rank's rows of A, with columns for the multipliers of all ranks.
             begin: position of this rank's first row in A.
-            nodes: (size,) the node of each of this rank's multipliers.
             local_compliance: (size,) compliance of nodes whose neighbours are fixed.
             solve: function that solves a system of equations with a sparse matrix that is not
                 symmetric; every rank calls it. Not used if `rows` is dense.
@@ -455,7 +444,6 @@ class WholeModel:
         self.diagonal: Array = rows[:, self._mine].diagonal()
         self.size = self.diagonal
         self.unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
-        self._pattern = NodalPattern(nodes)
         self._matrix = reductions.stacked(rows) if issparse(rows) else self._gathered(rows)
         shift = diags_array(self._gathered(SHIFT * local_compliance), format="csr")
         self._shifted = self._matrix + shift
@@ -521,7 +509,7 @@ class WholeModel:
         matrix = ((T @ self._shifted)[:, moving] + R) / unit
         G = self._reductions.stacked(G)
         soft = unit * softness + LEAST_SOFTNESS * eye_array(k)
-        loaded = 1.0 / unit * self._gathered(maps.test(right))[moving]
+        loaded = 1.0 / unit * self._gathered(maps.test @ right)[moving]
         blocks = [[matrix, -(T @ G)], [G[moving].T, soft]] if k else [[matrix]]
         right = np.append(loaded, missing)
         if issparse(matrix) and len(right) > 0:
@@ -540,9 +528,13 @@ class WholeModel:
         result[self._mine] = x
         return self._reductions.total(result)
 
-    def _whole(self, nodal: Callable[[Array], Array]) -> csr_array:
-        """Return the matrix (n, n) of a map that couples multipliers of one node. Collective."""
-        own = self._pattern.matrix(nodal)
+    def _whole(self, own: csr_array) -> csr_array:
+        """Return the matrix (n, n) whose diagonal blocks are those of each rank. Collective.
+
+        Args:
+            own: (size, size) this rank's block.
+        """
+        own = csr_array(own)
         own.eliminate_zeros()
         columns = own.indices + self._mine.start
         rows = csr_array((own.data, columns, own.indptr), shape=(own.shape[0], len(self)))

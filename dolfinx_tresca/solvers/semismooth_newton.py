@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import diags_array, eye_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS, PATIENCE, PROGRESS, SHORT_PATIENCE
@@ -105,12 +106,7 @@ class SemismoothNewton:
     """
 
     def __init__(self, problem: DualProblem, model: Model) -> None:
-        """Prepare steps.
-
-        Args:
-            problem: admissible multipliers, constraints and inner product.
-            model: model M of A.
-        """
+        """Prepare steps."""
         self.problem, self.model = problem, model
         self.size = problem.admissible.mean_over_discs(model.size)
         self.rho = np.asarray(RHO_DIAGONAL / self.size)
@@ -140,10 +136,8 @@ class SemismoothNewton:
     def step(self, point: NewtonPoint, softness: float) -> tuple[Array, Array]:
         """Return the changes of x and c by a whole Newton step from a point.
 
-        Args:
-            point: the point.
-            softness: softness that is added to S for the change of c only, as in a proximal point
-                method: solutions of the problem remain solutions.
+        The number `softness` is added to S for the change of c only, as in a proximal point method:
+        solutions of the problem remain solutions.
         """
         constraints, x, c, r = self.problem.constraints, point.x, point.c, point.r
         target = x - self.rho * r
@@ -256,12 +250,9 @@ class ConvexNewton(SemismoothNewton):
         """
         constraints, z = self.problem.constraints, point.x - self.rho * (point.r + self.opening)
         derivative, settled = self.cones.projection_derivative(z), self.cones.project(z)
-        residual = point.x - settled
-        maps = NodalMaps(
-            test=derivative,
-            added=lambda v: np.asarray(((v - derivative(v)).T / self.rho).T),
-            inverse=lambda v: v,
-        )
+        residual, identity = point.x - settled, eye_array(len(z))
+        added = diags_array(1.0 / self.rho) @ (identity - derivative)
+        maps = NodalMaps(test=derivative, added=added, inverse=identity)
         change, change_c = self.model.solve_between(
             maps,
             self.model.apply(residual) - residual / self.rho,
@@ -363,7 +354,7 @@ def solve_model(
         residual: the natural residual, with its step length.
         tolerance: requested natural residual, with the model in place of A.
     """
-    store = problem.known_products()
+    store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:
         return newton_solution(problem, store.model(), start)
     # a smaller tolerance costs no product with A, and saves some, since the model is accurate

@@ -81,16 +81,16 @@ def test_A_and_b_are_those_of_dense_algebra(comm, end):
         assert np.allclose(np.linalg.eigvalsh(mine), np.linalg.eigvalsh(A), atol=SOLVE * size)
         assert np.allclose(dual.b[normal], b[:m][order], atol=SOLVE * np.abs(b).max())
         assert np.linalg.norm(dual.b) == pytest.approx(np.linalg.norm(b), rel=SOLVE)
-        assert dual.operator.products == 3 * m
+        assert dual.compliance.products == 3 * m
 
 
 def test_products_are_counted_and_each_is_one_solve(comm):
     with dual_program(two_bricks(comm, 3)) as dual:
-        solves = dual.compliance.operator.solver.solves
+        solves = dual.compliance.solver.solves
         for number in range(1, 4):
-            dual.operator.apply(local_random(comm, len(dual.b), number))
-            assert dual.operator.products == number
-            assert dual.compliance.operator.solver.solves == solves + number
+            dual.compliance.apply(local_random(comm, len(dual.b), number))
+            assert dual.compliance.products == number
+            assert dual.compliance.solver.solves == solves + number
 
 
 #: By solver of K: the least part of the energy of smooth tractions that the near field has.
@@ -113,7 +113,7 @@ def test_it_is_less_than_A_and_symmetric(comm, stiffness, monkeypatch):
         ):
             y = local_random(comm, len(dual.b), 2)
             of_x, of_y = (dual.compliance.near_field.apply(each) for each in (x, y))
-            near, whole = dual.inner(x, of_x), dual.inner(x, dual.operator.apply(x))
+            near, whole = dual.inner(x, of_x), dual.inner(x, dual.compliance.apply(x))
             assert least * whole <= near <= (1.0 + SYMMETRIC) * whole
             asymmetry = abs(dual.inner(y, of_x) - dual.inner(x, of_y))
             assert asymmetry <= SYMMETRIC * max(near, dual.inner(y, of_y))
@@ -123,7 +123,7 @@ def test_a_contact_solve_takes_few_times_the_iterations_of_a_linear_one():
     """Before there was a coarse level in it: 97 for 20. Products then had a tenth of the error."""
     scene = two_bricks(MPI.COMM_SELF, 8)
     with dual_program(scene, "multigrid") as dual:
-        solver = dual.compliance.operator.solver
+        solver = dual.compliance.solver
         before = solver.krylov_iterations
         u = dual.jump.matrix.createVecRight()
         solver.improve(dual.jump.system.f.x.petsc_vec, u, rtol=1e-8, accuracy=0.0)

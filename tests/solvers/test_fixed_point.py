@@ -146,9 +146,10 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
 
 def wedge(coefficient: float) -> DenseProblem:
     """One node in two dimensions that jams: pressure and traction of a skewed A."""
-    lam = FeasibleSet(2, np.array([0]), np.array([1]), np.array([0]), np.array([0.0]))
+    rows = np.array([0]), np.array([1]), np.array([0])
+    lam = FeasibleSet(2, *rows, np.array([0.0]), normal_of=np.array([0]))
     A = np.array([[1.0, 0.9], [0.9, 1.0]])
-    values = np.array([0]), np.array([coefficient]), np.array([np.inf])
+    values = np.array([coefficient]), np.array([np.inf])
     problem = DenseProblem(A, np.array([1.0, 2.0]), lam)
     problem.cones = FrictionCones(*vars(lam).values(), *values)
     return problem

@@ -108,4 +108,4 @@ def cone(constant: float, coefficient: float, limit: float) -> FrictionCones:
 def test_special_points(terms, y, wanted):
     cones = cone(*terms)
     assert np.allclose(cones.project(np.array(y)), wanted, atol=10 * EPS)
-    assert np.isfinite(cones.projection_derivative(np.array(y))(np.ones(3))).all()
+    assert np.isfinite(cones.projection_derivative(np.array(y)) @ np.ones(3)).all()

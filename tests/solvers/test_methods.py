@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dense import clarabel_minimum, problems
@@ -10,7 +12,6 @@ from hypothesis import strategies as st
 
 from dolfinx_tresca import ContactStatus, SolverOptions
 from dolfinx_tresca.solvers.convergence import History, NaturalResidual
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.paper import adaptive_precision
 from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
 from scenes.scene import EPS
@@ -94,7 +95,7 @@ def test_units_of_load_change_nothing(method, stiffness, load):
         scaled = DenseProblem(
             stiffness * problem.A,
             load * problem.b,
-            FeasibleSet(lam.size, lam.normal, lam.tangential, lam.node, unit * lam.radius),
+            replace(lam, radius=unit * lam.radius),
         )
         second = run(scaled, method, max_iterations=30)
         assert (first.iterations, problem.products) == (second.iterations, scaled.products)
