@@ -391,7 +391,9 @@ def explicit_rate(
     return float(sum(rows.rate(value) for rows in change.moved))
 
 
-def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
+def as_derivatives(
+    values: Sequence[Any], controls: Sequence[Control], comm: Any, when: str = ""
+) -> list[Any]:
     """Return derivatives of `gradient` as arrays and Functions. Collective.
 
     Args:
@@ -399,6 +401,7 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
             they are all zero, the log says so.
         controls: the Constants and Functions to which the derivatives belong.
         comm: communicator.
+        when: words that say in the log to which of several load steps the values belong.
 
     Returns:
         for each Constant an array of its shape, for each Function a Function on its space.
@@ -407,7 +410,8 @@ def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any
     for control, derivatives in zip(controls, values, strict=True):
         if not comm.allreduce(bool(np.any(derivatives)), op=MPI.LOR):
             name = getattr(control, "name", control)
-            log(comm, "gradient: no goal depends on the control %s: its derivative is zero", name)
+            text = "gradient: no goal depends on the control %s%s: its derivative is zero"
+            log(comm, text, name, when)
         if isinstance(control, fem.Constant):
             result.append(np.array(np.broadcast_to(derivatives, control.ufl_shape)))
             continue

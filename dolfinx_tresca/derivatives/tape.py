@@ -199,7 +199,10 @@ class ProcessTape:
             ConvergenceError: see `gradient`.
         """
         steps = self._derivatives(goals, controls)
-        return [as_derivatives(derivatives, controls, self.comm) for derivatives in steps]
+        return [
+            as_derivatives(derivatives, controls, self.comm, f" in step {number}")
+            for number, derivatives in enumerate(steps)
+        ]
 
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]

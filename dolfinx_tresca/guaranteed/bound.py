@@ -39,7 +39,7 @@ GAIN = 0.02
 
 #: Factor by which the size of the change of the load is varied as long as the interval shrinks, and
 #: largest power of it.
-STEP, MOST_STEPS = 4.0, 3
+STEP, LARGEST_POWER = 4.0, 3
 
 
 @dataclass(frozen=True)
@@ -387,7 +387,7 @@ def guaranteed_goal(
     bodies: Bodies,
     dual: DualProgram,
     u: fem.Function,
-    solve: Callable[[float], Candidate],
+    candidate_at: Callable[[float], Candidate],
     gain: float,
 ) -> GuaranteedGoal:
     """Return an interval that contains the value in the exact solution. Collective.
@@ -402,7 +402,8 @@ def guaranteed_goal(
         bodies: the bodies.
         dual: the dual problem that was solved.
         u: the displacement.
-        solve: function that returns the candidate with the load L + t J; it is collective.
+        candidate_at: function that returns the candidate with the load L + t J; it is collective.
+            If the goal is a force, its `loading` balances L alone.
         gain: part of a distance by which a step must lower it, or the steps end.
 
     Raises:
@@ -412,10 +413,11 @@ def guaranteed_goal(
     of_w = bodies.loading_of(functional.w) if functional.is_force else 0.0
 
     def limits_at(t: float) -> Array:
-        """Return upper limits (2,) of J and -J."""
-        candidates, result = {sign: solve(sign * t) for sign in (1.0, -1.0)}, []
+        """Return upper limits (2,) of J and -J; their sum is the width of the interval."""
+        candidates, result = {sign: candidate_at(sign * t) for sign in (1.0, -1.0)}, []
         for sign, candidate in candidates.items():
             v = candidates[-sign].v
+            # the stress of `functional.w` balances the load t J of a force
             difference = candidate.loading - bodies.loading_of(v) + sign * t * of_w
             defects = bodies.defects(candidate.surfaces, v)
             bodies.shorten(difference, gain)
@@ -427,12 +429,12 @@ def guaranteed_goal(
     start = dual.norm_of(u) / dual.norm_of(functional.w)
     best = limits_at(start)
     for factor in (1.0 / STEP, STEP):
-        t, narrower = start, True
-        while narrower and abs(np.log(t / start)) < MOST_STEPS * np.log(STEP):
-            t *= factor
-            limits = limits_at(t)
-            narrower = bool(limits.sum() < best.sum())
+        for power in range(1, LARGEST_POWER + 1):
+            limits = limits_at(start * factor**power)
+            is_narrower = limits.sum() < best.sum()
             best = np.minimum(best, limits)
-        if t < start / STEP:
+            if not is_narrower:
+                break
+        if power > 1:  # smaller t narrowed the interval: larger ones would not
             break
     return GuaranteedGoal(-float(best[1]), float(best[0]), functional.value(u))

@@ -84,7 +84,7 @@ class NonlinearContactProblem(ContactProcess):
     contact problem with the tangent at the present u; its unknown is the total displacement. The
     conditions of contact and friction are not linearised, so they hold after each step. Change
     Constants and Functions in forms and conditions in place, as for `ContactProblem`. Multipliers
-    and the models of A are kept from step to step.
+    are kept from step to step, and products with A as long as the tangent is.
 
     If Newton's method fails, half of the change of load is tried first. This works for all kinds of
     load, since what is removed in parts is the residual at the start of the solve. A tangent may

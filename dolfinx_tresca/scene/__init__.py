@@ -6,8 +6,9 @@ gaps are checked at the nodes, by rooms above. Nothing here is computed on nodes
 
 - `ContactPair`: two surfaces, given by tags, with a law; the primary side may be a `RigidObstacle`.
 - A *law* is `Frictionless`, `Bonded`, or a `DryFriction` with the *terms* of its slip bound
-  c + min(F p, l) under the pressure p (`BoundTerms`). Its F may be a `FrictionCurve`, a function of
-  pressure and slip.
+  c + min(F p, l) under the pressure p (`BoundTerms`): `Tresca(g)` has c = g alone, `Coulomb(F)` has
+  F, and may have an adhesion c and a limit l. F may be a `FrictionCurve`, a function of pressure
+  and slip.
 - A *scalar field* is what a bound or a gap may be: a number, Constant, Function, expression, or a
   function of points.
 - `RigidMotion`: where an obstacle is, x -> R x + t from where it was made.

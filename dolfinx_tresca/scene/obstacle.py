@@ -530,7 +530,7 @@ def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Arr
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0
-    # at the centre any direction is normal
+    # at the centre or on the axis, a radius away from the surface, any unit vector will do
     normal = np.where(length > 0.0, offset, np.array([[1.0], [0.0], [0.0]]))
     return sign * (length - radius), sign * normal / np.where(length > 0.0, length, 1.0)
 
