@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, dots
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
@@ -64,14 +64,11 @@ def write_state(
     }
     if history.begun:
         columns |= {f"nodes/slip of pair {k}": slip for k, slip in enumerate(history.slipped)}
-    origin = history.origin * jump.length_scale
-    tractions = state.multipliers * jump.stress_scale
-    for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
-        pressure = np.zeros((len(pair.nodes), 1))
-        pressure[pair.normal_node, 0] = tractions[n]
-        vectors = [pair.tangential_vectors(values[t]) for values in (tractions, origin)]
+    tractions = jump.nodal_vectors(state.multipliers * jump.stress_scale)
+    origins = jump.nodal_vectors(history.origin * jump.length_scale)
+    for k, pair in enumerate(jump.pairs):
         columns[f"pair {k}/{PLACES}"] = _contact_places(pair, places)
-        columns[f"pair {k}/values"] = np.hstack([pressure, *vectors])
+        columns[f"pair {k}/values"] = np.hstack([tractions[k], origins[k][:, 1:]])
     for k, function in enumerate([*_functions_of_unknowns(state), *material]):
         columns[f"function {k}/{PLACES}"] = surroundings(function.function_space)
         columns[f"function {k}/values"] = owned_values(function)
@@ -180,13 +177,14 @@ class SavedState:
                     "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
                     "last accepted displacement."
                 )
-        multipliers, origin = np.zeros((2, len(jump.gap)))
-        for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
-            values = self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
-            multipliers[n] = values[pair.normal_node, 0]
-            tractions_and_slips = np.split(values[:, 1:], 2, axis=1)
-            for result, vectors in zip((multipliers, origin), tractions_and_slips, strict=True):
-                result[t] = dots(vectors[pair.tangent_node], pair.tangents)
+        rows = [
+            self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
+            for k, pair in enumerate(jump.pairs)
+        ]
+        dim = jump.system.V.mesh.geometry.dim
+        tractions = jump.components([values[:, : 1 + dim] for values in rows])
+        origin = jump.components([values[:, dim:] for values in rows])
+        origin[~jump.is_tangential] = 0.0
         slips = enumerate(SlipHistory.none(jump).slipped)
         history = SlipHistory(
             origin / jump.length_scale,
@@ -207,7 +205,7 @@ class SavedState:
                 for i, values in enumerate(self._unknowns):
                     w.sub(i).interpolate(values)
             unknowns = w.x.array.copy()
-        state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
+        state = replace(present, unknowns=unknowns, multipliers=tractions / jump.stress_scale)
         state = state.after_step(history, displacement, configuration=configuration, before=before)
         return replace(state, solution=None)
 

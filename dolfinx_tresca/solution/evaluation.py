@@ -180,8 +180,8 @@ def evaluate(
     node_counts, pressed_counts, tangential_counts = reduce_array(comm, numbers).T.tolist()
     for pair, surface, tangential_count in zip(pairs, surfaces, tangential_counts, strict=True):
         operators, nodes = pair.operators, pair.nodes
-        pressure = np.zeros(len(nodes))
-        pressure[operators.normal_node] = stress[pair.normal]
+        tractions = pair.nodal_vectors(stress)
+        pressure, traction = tractions[:, 0], tractions[:, 1:]
         values = {
             "pressure": pressure,
             "gap": operators.gap - closing[nodes],
@@ -189,9 +189,8 @@ def evaluate(
             "state": states[nodes],
             "normal": operators.normals,
         }
-        traction = operators.tangential_vectors(stress[pair.tangential])
         if tangential_count > 0:
-            since = operators.tangential_vectors(increment[pair.tangential])
+            since = pair.nodal_vectors(increment)[:, 1:]
             values["traction"] = traction
             values["slip"] = before[nodes, :-1] + since
             values["slip_path"] = paths[nodes]
@@ -199,7 +198,7 @@ def evaluate(
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
         openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
-        force += operators.weights @ np.column_stack([pressure, traction])
+        force += operators.weights @ tractions
         vectors = pressure[:, None] * operators.normals + traction
         forces.append(-operators.weights[:, None] * vectors)
     steps_of_pairs = [steps[nodes] for nodes in B.nodes]
@@ -309,9 +308,9 @@ def node_values(
     }
     values = [float(state) for state in conditions]
     states = np.select(list(conditions.values()), values, float(ContactState.OPEN))
-    of_pairs = list(zip(B.pairs, B.slices, dual.history.slipped, strict=True))
-    vectors = np.vstack([pair.tangential_vectors(moved_by[t]) for pair, (_, t), _ in of_pairs])
-    before = np.vstack([slipped[pair.nodes] for pair, _, slipped in of_pairs])
+    vectors = np.vstack(B.nodal_vectors(moved_by))[:, 1:]
+    slips_before = zip(B.pairs, dual.history.slipped, strict=True)
+    before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
     counted = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)

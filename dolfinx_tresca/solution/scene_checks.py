@@ -146,8 +146,8 @@ def motions_of_pairs(
     moved.x.array[:] -= paired.x.array
     vectors = jump.vectors(moved)
     shape = straightened(V, paired.x.array.reshape(-1, V.dofmap.index_map_bs))
-    for pair, operators, jumps, (normal_rows, _), place in zip(
-        pairs, jump.pairs, vectors, jump.slices, places, strict=True
+    for pair, operators, jumps, stress, place in zip(
+        pairs, jump.pairs, vectors, jump.nodal_vectors(tractions), places, strict=True
     ):
         if pair.obstacle is not None:
             start, end = pair.obstacle.motion, RigidMotion.from_matrix(place)
@@ -158,9 +158,7 @@ def motions_of_pairs(
             jumps -= _carried(operators.places, start, end)
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
-        force = np.zeros(len(operators.nodes))
-        rows = operators.normal_node
-        force[rows] = operators.weights[rows] * np.maximum(tractions[normal_rows], 0.0)
+        force = operators.weights * np.maximum(stress[:, 0], 0.0)
         yield from _motions_of_pair(V, pair, operators, jumps, force, shape)
 
 
