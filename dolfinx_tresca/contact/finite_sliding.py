@@ -14,7 +14,6 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
-from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
@@ -116,7 +115,7 @@ class FiniteSliding:
         snaps: whether a step has followed growing residuals, as where bodies snap.
     """
 
-    def __init__(self, contact: ContactSurfaces) -> None:
+    def __init__(self, contact: ContactSystem) -> None:
         """Begin with the configuration in which the surfaces are paired now. Not collective."""
         self._contact = contact
         self._path: list[Configuration] = []
@@ -199,7 +198,7 @@ class FiniteSliding:
                     held = at_rest.continued(before, accepted, fraction)
             held.x.array[: len(linear.prescribed)][linear.prescribed] = values
             held.x.scatter_forward()
-            linear.frames = contact.frames_at(held)
+            linear.frames = at_rest.moved_with(held)
             v = origin if frames is None else frames.deformation(origin)
         try:
             w = linear.response_to_prescribed_values(contact.compliance.solver, v)

@@ -14,6 +14,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, reduce_array
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
@@ -22,6 +23,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Preload
 from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.forces import BoltForce, Resultant
 
 #: A cut is flat if 1 minus the cosine of the angle between any normal and their mean is at most
 #: this number (a tenth of a degree is 1.5e-6).
@@ -84,6 +86,38 @@ class Obstacles:
                 "bolt: cut the bolt by a plane, and give each bolt a pair of its own."
             )
         return axis
+
+    def bolt_overlaps(self, jump: JumpOperator) -> list[float]:
+        """Return by how much the bolt of each pair is pulled [length], else 0. Collective."""
+        motions = self.motions
+        return [
+            float(self.axis(number, operators) @ motions[number][:, 3])
+            if isinstance(pair.friction, Preload)
+            else 0.0
+            for number, (pair, operators) in enumerate(zip(self._pairs, jump.pairs, strict=True))
+        ]
+
+    def bolt_forces(
+        self, jump: JumpOperator, resultants: Sequence[Resultant]
+    ) -> dict[str, BoltForce]:
+        """Return the force in each bolt, by the name of its pair, from all pairs' resultants."""
+        result = {}
+        for number, (pair, resultant) in enumerate(zip(self._pairs, resultants, strict=True)):
+            if isinstance(pair.friction, Preload):
+                axis = self.axis(number, jump.pairs[number])
+                force = float(resultant.force @ axis[: len(resultant.force)])
+                result[str(pair)] = BoltForce(force, force - pair.friction.value)
+        return result
+
+    def check_no_tools(self, purpose: str) -> None:
+        """Check that neither obstacles nor bolts have given forces. Not collective."""
+        for pair in self._pairs:
+            given = pair.obstacle is not None and pair.obstacle.given_forces
+            if given or isinstance(pair.friction, Preload):
+                raise InputError(
+                    f"contact pair {pair}: {purpose} is not known with obstacles held by forces, "
+                    "and with preloads."
+                )
 
     def tools(self, jump: JumpOperator, bodies: Bodies, begun: bool) -> Tools | None:
         """Return the obstacles held by forces, and the bolts that are pulled. Collective.
@@ -184,7 +218,7 @@ class Obstacles:
         ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
         return np.array(largest_sizes(comm, *np.split(rates[0], ends)))
 
-    def displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
+    def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
         """Return the displacement of an obstacle at each node, since a former position.
 
         At a node this is the displacement of the obstacle's material point that is at the node now,
@@ -198,3 +232,21 @@ class Obstacles:
         result = fem.Function(self._V)
         result.x.array[:] = moved[:dim].T.ravel()
         return result
+
+    def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
+        """Return the jumps (size,) that `motions` cause, and the largest displacement. Collective.
+
+        The jumps are divided by `JumpOperator.length_scale`, and zero where no obstacle moves.
+        """
+        jump = state.jump
+        jumps, largest = np.zeros(len(jump.gap)), 0.0
+        for pair, start, end, (normal, tangential) in zip(
+            self._pairs, before, after, jump.slices, strict=True
+        ):
+            if not np.array_equal(start, end):
+                u = state.configuration if pair.sliding == "finite" else state.geometry
+                moved = self._displacement(start, end, u)
+                largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
+                rows = slice(normal.start, tangential.stop)
+                jumps[rows] = jump.of_displacement(moved)[rows]
+        return jumps, largest

@@ -79,7 +79,7 @@ class StepState:
 
     Loads, prescribed values and the places to which the user moves obstacles are inputs. States are
     never changed: each operation returns another one, so a former state can be put back as a whole
-    (`ContactSurfaces.return_to`), or written to a file.
+    (`ContactSystem.return_to`), or written to a file.
 
     If friction depends on the pressure, the solution of a load step may depend on the tractions at
     which its solve starts: these must be tractions of the last accepted step, not of a trial solve.

@@ -224,7 +224,7 @@ class EnergyBalance:
     def _contact(self) -> tuple[Array, float, float]:
         """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
         problem, multipliers = self._problem, self._problem.state.multipliers
-        jumps, largest = problem.obstacle_jumps(*self._motions)
+        jumps, largest = problem.obstacles.jumps(problem.state, *self._motions)
         forces = np.array(problem.jump.whole_force(multipliers).array)
         return forces, float(multipliers @ jumps), largest
 

@@ -230,7 +230,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         contact, jump = self._contact, self._contact.jump
         contact.check_not_destroyed()
-        contact.check_no_tools("a slip origin")
+        contact.obstacles.check_no_tools("a slip origin")
         if u is not None:
             contact.linear.check_displacement("the slip origin", u, " or None,")
         contact.note_obstacles()
@@ -271,7 +271,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 "from the displacement of that step."
             )
         contact, jump = self._contact, self._contact.jump
-        contact.check_no_tools("the continuation of a step on another mesh")
+        contact.obstacles.check_no_tools("the continuation of a step on another mesh")
         solution.raise_if_failed()
         contact.note_obstacles()
         slips = slip_from(solution.surfaces, jump)
@@ -367,7 +367,7 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: nothing was solved since K or the pairing changed.
             InputError: the goal is wrong.
         """
-        self._contact.check_no_tools("the value of a goal")
+        self._contact.obstacles.check_no_tools("the value of a goal")
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._contact.solution_for("the value of a goal")
         jump = solved.dual.jump
@@ -518,7 +518,7 @@ class ContactProcess(PetscOwner, Tabulated):
             InputError: the forms are no forms of UFL, or are on a mixed space.
         """
         contact = self._contact
-        contact.check_no_tools(purpose)
+        contact.obstacles.check_no_tools(purpose)
         if contact.linear.component is not None:
             raise InputError(
                 f"{purpose} needs a form of the displacement alone, and not that of a mixed space: "

@@ -16,9 +16,11 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
+from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields
 from dolfinx_tresca.solution.forces import (
     Resultant,
@@ -26,9 +28,10 @@ from dolfinx_tresca.solution.forces import (
     resultants_between,
     resultants_on,
 )
-from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
+from dolfinx_tresca.solvers.convergence import BALANCED, energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
+from dolfinx_tresca.status import ContactStatus
 
 
 @dataclass(frozen=True)
@@ -316,6 +319,40 @@ def node_values(
     *counts, doubtful = kinds.sum(axis=1)
     sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
     return states, np.column_stack([vectors, counted]), before, NodeCounts(*map(int, sums))
+
+
+def status_of_fields(
+    dual: DualProgram,
+    solution: DualSolution,
+    evaluation: Evaluation,
+    options: SolverOptions,
+    requested: SolverOptions,
+) -> ContactStatus:
+    """Return the status of a solve from its fields, which are what the user gets. Collective.
+
+    The fields are computed anew from the last multipliers, and so is the bound of their error. It
+    may be larger than the bound with which the iteration ended: then rounding prevents the accuracy
+    that `options` ask for. It may also be small enough for what the user requested although the
+    iteration ended early, since `options` may ask for more, or the iterates were less accurate.
+    """
+    if solution.status is ContactStatus.STOPPED:
+        return ContactStatus.STOPPED
+    error = evaluation.energy_error_bound
+    ended_early = solution.status is not ContactStatus.CONVERGED
+    if not ended_early and not error > SLACK * solution.wanted:
+        return ContactStatus.CONVERGED
+
+    # the bound of the error is that of multipliers in equilibrium
+    balanced = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
+    if requested.rtol is not None:
+        as_requested = solution.residuals[-1] <= requested.rtol and requested != options
+    elif requested.balanced:  # by an estimate of the mesh's error, which the iteration knows
+        as_requested = False
+    else:
+        as_requested = error <= SLACK * float(requested.accuracy)
+    if balanced and as_requested:
+        return ContactStatus.CONVERGED
+    return solution.status if ended_early else ContactStatus.STAGNATED
 
 
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
