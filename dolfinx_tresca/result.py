@@ -266,11 +266,7 @@ class ContactSolution(Evaluation, Tabulated):
         return on_body.about(whole.point if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
-        """Return the index of a body that is given by its index or by its name.
-
-        Raises:
-            InputError: there is no such body.
-        """
+        """Return the index of a body that is given by its index or by its name."""
         if isinstance(body, str) and body in self.body_names:
             return self.body_names.index(body)
         index, highest = integer(body), len(self.body_names) - 1

@@ -79,40 +79,28 @@ class ContactSystem(PetscOwner):
 
     A problem uses one such system for all its solves. For nonlinear bodies K is the present
     tangent. Springs are added to K that fix the bodies that K holds only weakly, and the sum is
-    factored. Surfaces are paired again on request, with finite sliding, or if an obstacle moves:
-    then B and A are replaced, and tractions and slip are carried over.
+    factored. Where surfaces are paired again, B and A are replaced, and tractions and slip are
+    carried over.
 
     Attributes:
         secondary: the secondary side of each pair.
-        method: name of the chosen solver for K.
-        reason: why this solver was chosen, as text.
+        reason: why this solver for K was chosen, as text.
         slides_far: whether at least one pair has finite sliding.
         friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
             nodes of the displacement.
-        jump: the operator B, which maps displacements to jumps across the contact surfaces.
-        compliance: A = B K^-1 B', with K factored.
         guess: displacements of earlier solves with the present B, for first guesses of iterative
-            solves with K.
+            solves.
         unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
             solves start and end, owned by the user; None for linear bodies.
         frames_at_rest: frames of undeformed linear bodies, which move in configurations of finite
             sliding; None: no body has a frame.
-        summary: the sizes of the problem, for tables.
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
 
     def __init__(
         self, linear: LinearSystem, pairs: list[ContactPair], request: SolverRequest
     ) -> None:
-        """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective.
-
-        The tags of cells in the pairs have the names of bodies.
-
-        Raises:
-            InputError: an option of the solver, a gap or a law of friction is wrong.
-            PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric, or is indefinite.
-        """
+        """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective."""
         free_unused(linear.comm)  # objects of earlier problems that were not destroyed
         self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
         self._noticed: set[scene_checks.Limit] = set()  # to which solutions have come near
@@ -161,9 +149,9 @@ class ContactSystem(PetscOwner):
     def _factored(self) -> ContactCompliance:
         """Assemble K, find the rigid modes that it resists weakly, and return A. Collective.
 
-        With a mixed space, the modes are found in the first call only: in later steps, pressures
-        make the block of the displacements indefinite even for a stable body, and the signs of
-        pivots tell whether bodies are held.
+        With a mixed space, the modes are found in the first call only: later, pressures make the
+        block of displacements indefinite even for stable bodies, and signs of pivots tell whether
+        they are held.
         """
         linear = self.linear
         with timed("stiffness", self.timings):
@@ -261,10 +249,7 @@ class ContactSystem(PetscOwner):
         self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
-        """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective.
-
-        If the axes have changed, so has A, and the known products are dropped.
-        """
+        """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective."""
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
             self._state = self._state.along_tangents(jump)
@@ -292,10 +277,7 @@ class ContactSystem(PetscOwner):
             self.unknowns.x.array[:] = state.unknowns
 
     def return_to(self, state: StepState) -> None:
-        """Return to a former state, with its displacement and pairing. Collective.
-
-        K stays as it is, and need not be factored. The user's obstacles stay where they are.
-        """
+        """Return to a former state; K and the user's obstacles stay as they are. Collective."""
         self.state = state
         if state.jump is not self.jump:
             moved_to = self.obstacles.motions
@@ -306,10 +288,7 @@ class ContactSystem(PetscOwner):
             self.obstacles.place(moved_to)
 
     def begin_solve(self) -> None:
-        """Pair again where obstacles have moved, then go back to where the next solve starts.
-
-        For nonlinear bodies the user's u is set to the start, too. Collective.
-        """
+        """Pair where obstacles have moved, and go to where the next solve starts. Collective."""
         self.pair_where_changed(self._state.accepted.configuration)
         self.state = self.start
 
@@ -323,15 +302,8 @@ class ContactSystem(PetscOwner):
     ) -> None:
         """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
 
-        Args:
-            configuration: displacement [length] for pairs with finite sliding; None: the present
-                one.
-            geometry: displacement [length] for the other pairs; None: the present one.
-
-        Raises:
-            InputError: the signed distance of an obstacle is wrong.
-            PairingError: the surfaces cannot be paired; they stay as they were.
-            StiffnessError: a solve with K failed.
+        Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
+        stands for the present one. After a `PairingError` the surfaces stay as they were.
         """
         state, moved, finite = self.state, self.note_obstacles(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
@@ -350,14 +322,10 @@ class ContactSystem(PetscOwner):
         self._state = replace(self._state, configuration=configuration, geometry=geometry)
 
     def note_obstacles(self) -> Mask:
-        """Record the present positions of the obstacles. Collective.
+        """Record the places of obstacles; return (pairs,) whether distances have changed.
 
         A warning is logged for obstacles with friction that have changed without `move_to`, since
-        the slip does not contain such a change. Obstacles that depend on Constants may change
-        without a warning.
-
-        Returns:
-            (pairs,) whether the distance from the obstacle has changed since the pairing.
+        the slip does not contain such a change, unless they depend on Constants. Collective.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
         same_place = (self._state.motions == motions).all(axis=(1, 2))
@@ -374,11 +342,10 @@ class ContactSystem(PetscOwner):
         return changed
 
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
-        """Pair some surfaces in the configuration displaced by u. Collective.
+        """Pair those surfaces again, in the configuration displaced by u, for which `anew` is True.
 
-        The mask (pairs,) `anew` has True for the pairs to be paired again. With finite sliding,
-        the slip of a node is its displacement since the last accepted step, relative to its present
-        partner and projected onto its tangent plane in the configuration.
+        With finite sliding, the slip of a node becomes its displacement since the last accepted
+        step, relative to its present partner and projected onto its tangent plane. Collective.
         """
         if not anew.any():
             return
@@ -405,10 +372,7 @@ class ContactSystem(PetscOwner):
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:
-        """Return the slip history whose origin moves with the obstacles in this step. Collective.
-
-        The slip on an obstacle then counts relative to the obstacle.
-        """
+        """Return the slip history whose origin moves with the obstacles. Collective."""
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
         for normal, _ in self.jump.slices:
@@ -421,10 +385,7 @@ class ContactSystem(PetscOwner):
         return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
 
     def normal_forces_at_nodes(self) -> Array:
-        """Return the normal contact forces (pairs, owned nodes), 0 at open nodes. Not collective.
-
-        They are in the units of the multipliers times areas, which suits comparisons.
-        """
+        """Return normal contact forces (pairs, owned nodes), to be compared, 0 at open nodes."""
         return self._at_nodes(self._state.multipliers / self.jump.stress_scale**2, 0.0)
 
     def _at_nodes(self, values: Array, default: float) -> Array:
@@ -436,10 +397,7 @@ class ContactSystem(PetscOwner):
         return result
 
     def contact_forces(self, multipliers: Array | None = None) -> Array:
-        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective.
-
-        None stands for the multipliers of the present state.
-        """
+        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
         multipliers = self._state.multipliers if multipliers is None else multipliers
         return np.array(self.jump.contact_force(multipliers).array)
 
@@ -490,16 +448,10 @@ class ContactSystem(PetscOwner):
             return result + [pressed_values(*curve) for curve in curves]
 
     def advance_material(self, solution: StepSolution) -> None:
-        """Advance the history of the material, if it has one, to a solution. Collective.
-
-        If that fails, the step is not accepted.
-        """
+        """Advance the history of the material, if there is one, to a solution. Collective."""
 
     def check_inputs(self, purpose: str) -> None:
-        """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
-
-        Collective; errors name the purpose that needs them.
-        """
+        """Check that loads, laws and gaps are those of the last solve. Collective."""
         solved = self.solution_for(purpose)
         if self.state.pending and solved.status is not ContactStatus.CONVERGED:
             raise ContactError(
@@ -514,10 +466,7 @@ class ContactSystem(PetscOwner):
 
     @contextmanager
     def restored(self) -> Iterator[None]:
-        """Restore the state of the process at the end of the block. Collective.
-
-        If K or the pairing changes inside the block, derivatives of the last solution are lost.
-        """
+        """Restore the state of the process at the end of the block. Collective."""
         state = self.state
         try:
             yield
@@ -529,10 +478,9 @@ class ContactSystem(PetscOwner):
     def checked(self, solution: Solution) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
-        Prescribed overlaps and the reason of a failure are logged. A solve that found no solution
-        since bodies slide away has this as its reason. With finite sliding, the first
-        configurations are not checked, since surfaces that come from afar may lie deep inside other
-        bodies there. Rotations and deformations have limits if the bodies are linear.
+        Prescribed overlaps and the reason of a failure are logged. Solutions that have a reason
+        already are not checked. With finite sliding, nor are the first configurations, in which
+        surfaces that come from afar may lie deep inside other bodies.
         """
         scene_checks.hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
@@ -570,16 +518,10 @@ class ContactSystem(PetscOwner):
         Args:
             options: options of the contact algorithm.
             units: names of units, for tables and pictures of the solution.
-            observe: function that is called before each iteration, on all ranks; the solve stops
-                if it returns True.
-            requested: the options that the user gave, if `options` have another accuracy: they
-                decide whether the solve converged.
-
-        Raises:
-            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
-            InputError: an option, a load, a prescribed value or a slip bound is wrong.
-            MechanismError: nothing holds a body against its loads.
-            StiffnessError: a solve with K failed.
+            observe: function that is called before each iteration, on all ranks; True stops the
+                solve.
+            requested: options of the user, which decide whether the solve converged, if `options`
+                have another accuracy.
         """
         free_unused(self.comm)  # vectors of the solves before
         requested = requested or options
@@ -655,10 +597,7 @@ class ContactSystem(PetscOwner):
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Return the friction curves, checked at the pressures and slips of a solution. Collective.
-
-        A hint is logged if F decreases so fast with the slip that there may be several solutions.
-        """
+        """Return the friction curves, checked at the points of a solution. Collective."""
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
         if not isinstance(cones, FrictionCones) or cones.curves is None:
@@ -675,7 +614,6 @@ class ContactSystem(PetscOwner):
         """Check for floating bodies that no coefficient of friction depends on the slip.
 
         For a block held by viscous friction alone, the solver found no multipliers within minutes.
-        Not collective.
         """
         for pair in self.pairs:
             curve = pair.friction.terms.curve

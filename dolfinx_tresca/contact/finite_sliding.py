@@ -125,12 +125,9 @@ class FiniteSliding:
         self.configurations, self.snaps = 1, False
 
     def observe(self, u: fem.Function) -> None:
-        """Compare forces and gaps with the previous configuration, and estimate the error.
+        """Compare forces and gaps with the previous configuration; estimate the error. Collective.
 
-        Collective.
-
-        Changes that the rounding of positions causes count as zero: a body that returns to rest has
-        no other changes.
+        Changes within the rounding of positions count as zero, such as those of a body at rest.
         """
         contact, state = self._contact, self._contact.state
         pressures = np.asarray(contact.compliance.stress_rounding / contact.jump.stress_scale)
@@ -175,15 +172,10 @@ class FiniteSliding:
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
-        Its displacement is the displacement of the present configuration plus the response to the
-        change of the prescribed values, with the present K and unchanged contact forces. Bodies
-        with frames keep the deformation that they have. Those that are held turn with the
-        prescribed values, and free ones go on as they have moved in the last step, like the rollers
-        of a bearing.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
+        Its displacement is the present one plus the response to the change of the prescribed
+        values, with the present K and unchanged contact forces. Bodies with frames keep their
+        deformation. Those that are held turn with the prescribed values, and free ones go on as
+        they have moved in the last step, like the rollers of a bearing.
         """
         contact, state = self._contact, self._contact.state
         linear, origin, at_rest = contact.linear, state.configuration, contact.frames_at_rest
@@ -214,10 +206,7 @@ class FiniteSliding:
     def _part_of_last_motion(
         self, values: Array, before: fem.Function, accepted: fem.Function
     ) -> float:
-        """Return the change of the prescribed values in this step, relative to the last one.
-
-        It is 1 if they change by the same amounts, and zero if they do not change. Collective.
-        """
+        """Return the change of the prescribed values, relative to the last step's. Collective."""
         prescribed = self._contact.linear.prescribed
         begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
         last_step, present_step = reached - begin, values - reached

@@ -34,9 +34,7 @@ class Obstacles:
     """The rigid obstacles of a problem, and their distances when the surfaces were paired.
 
     The two sides of a cut bolt have a motion, too: the secondary side, relative to the primary one.
-
-    Attributes:
-        extent: the largest absolute coordinate of the mesh on all ranks [length].
+    `extent` is the largest absolute coordinate of the mesh on all ranks [length].
     """
 
     def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
@@ -120,10 +118,9 @@ class Obstacles:
                 )
 
     def tools(self, jump: JumpOperator, bodies: Bodies, begun: bool) -> Tools | None:
-        """Return the obstacles held by forces, and the bolts that are pulled. Collective.
+        """Return obstacles held by forces, and bolts that are pulled; None without. Collective.
 
-        The result is None if there are none. The first accepted load step locks the bolts: the
-        process has then `begun`.
+        The first accepted load step locks the bolts: the process has then `begun`.
         """
         motions: list[FreeMotion] = []
         for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
@@ -172,10 +169,7 @@ class Obstacles:
         self._at_pairing = self._distances(jump)
 
     def _distances(self, jump: JumpOperator) -> list[Array]:
-        """Return for each pair an array (n, 4): distances and normals at undeformed nodes.
-
-        For a pair of deformable bodies, the array has no rows. Collective.
-        """
+        """Return distances and normals (n, 4) at each pair's undeformed nodes. Collective."""
         has_obstacle = any(obstacle is not None for obstacle in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
         with errors_on_all_ranks(self._V.mesh.comm):
@@ -185,11 +179,7 @@ class Obstacles:
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
-        """Return for each pair whether distances from or normals of its obstacle have changed.
-
-        The change is that since `note_pairing`. An obstacle that moves along its own surface
-        changes neither. Collective.
-        """
+        """Return (pairs,) whether distances or normals differ from the pairing. Collective."""
         limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of the distance, the normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
@@ -200,8 +190,8 @@ class Obstacles:
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rate of change (pairs,) of each pair's distances. Collective.
 
-        A change of a normal, times the extent of the mesh, counts as a change of a distance. None
-        as direction stands for one along which any obstacle that depends on the control changes.
+        A change of a normal counts times the extent of the mesh. None as direction stands for one
+        along which any obstacle that depends on the control changes.
         """
         if direction is None:  # no small whole numbers, along which a plane might not move
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))
@@ -219,11 +209,7 @@ class Obstacles:
         return np.array(largest_sizes(comm, *np.split(rates[0], ends)))
 
     def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
-        """Return the displacement of an obstacle at each node, since a former position.
-
-        At a node this is the displacement of the obstacle's material point that is at the node now,
-        if the displacement of the nodes is u. Not collective.
-        """
+        """Return how far the obstacle's point now at each node, displaced by u, has moved."""
         dim = self._V.mesh.geometry.dim
         points = self._V.tabulate_dof_coordinates().T.copy()
         points[:dim] += u.x.array.reshape(-1, dim).T
@@ -234,10 +220,7 @@ class Obstacles:
         return result
 
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
-        """Return the jumps (size,) that `motions` cause, and the largest displacement. Collective.
-
-        The jumps are divided by `JumpOperator.length_scale`, and zero where no obstacle moves.
-        """
+        """Return scaled jumps (size,) of `motions`, and the largest displacement. Collective."""
         jump = state.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0
         for pair, start, end, (normal, tangential) in zip(

@@ -44,10 +44,9 @@ def write_state(
 ) -> None:
     """Write the state from which a solve begins; see `StepState.at_start`. Collective.
 
-    Displacements and slips are values at all nodes. Multipliers and the origin of friction are
-    values at the contact nodes of each pair: a pressure and two vectors for each smooth patch of
-    the surface to which the node belongs, since the tangents are arbitrary. The last solution is
-    not written. The file appears when it is complete.
+    Multipliers and the origin of friction are written as a pressure and two vectors for each smooth
+    patch of the surface to which a node belongs, since the tangents are arbitrary. The last
+    solution is not written.
     """
     jump, history, accepted = state.jump, state.history, state.accepted
     places = surroundings(jump.system.V)
@@ -97,11 +96,7 @@ class SavedState:
     def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
         """Read a file for a problem in its present state. Collective.
 
-        The Functions of the material have the spaces of the saved ones, and are not changed.
-
-        Raises:
-            InputError: the file cannot be read, or belongs to another mesh or degree, to another
-                kind of problem, or to a problem with another number of pairs or Functions.
+        The given Functions of the material are not changed: they have the spaces of the saved ones.
         """
         system, pairs = present.jump.system, len(present.jump.pairs)
         self._path, self._comm, self._system = path, system.comm, system
@@ -211,10 +206,7 @@ class SavedState:
 
 
 def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
-    """Return the displacement of nonlinear bodies, or all parts of a mixed space. Collective.
-
-    There are none for linear bodies, whose next solve finds the displacement.
-    """
+    """Return the displacement of nonlinear bodies, or all parts of a mixed space. Collective."""
     if state.unknowns is None:
         return []
     system = state.jump.system
@@ -259,23 +251,17 @@ def _laws(jump: JumpOperator) -> list[str]:
 
 
 def _contact_places(pair: PairOperators, places: Array) -> Array:
-    """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch.
-
-    A node on a sharp edge belongs to several smooth patches of the surface, which are entries of
-    `pair.nodes` one after the other. Not collective.
-    """
+    """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch."""
     _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
     patch = np.arange(len(pair.nodes)) - start[row]
     return np.column_stack([places[pair.nodes], patch])
 
 
 def surroundings(V: Any) -> Array:
-    """Return two positions (n, 2 d) for each of this rank's own nodes or points. Collective.
+    """Return two positions (n, 2 d) that identify each own node or point of this rank. Collective.
 
-    The first position, with d coordinates, is the position of the node itself. The second is the
-    mean of the midpoints of the cells around the node, which distinguishes nodes of two bodies that
-    touch. Together the positions identify a node on any partition, up to rounding, also on refined
-    meshes, where the number of a node depends on the partition.
+    They are its position and the mean of the midpoints of the cells around it, which distinguishes
+    nodes of bodies that touch. Numbers of nodes depend on the partition, as of refined meshes.
     """
     dim, cells = V.mesh.geometry.dim, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     points = V.tabulate_dof_coordinates()[:, :dim]

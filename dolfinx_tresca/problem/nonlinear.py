@@ -227,8 +227,8 @@ class NonlinearContactProblem(ContactProcess):
     def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
-        Derivatives need this tangent, but the last assembled tangent belongs to the previous
-        iterate. So a further Newton step is made. Error messages name the `purpose`.
+        The last assembled tangent belongs to the previous iterate, so a further Newton step is
+        made.
         """
         former, problem = super()._solved_for(purpose), self._contact
         if not problem.state.pending:

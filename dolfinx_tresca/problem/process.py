@@ -74,11 +74,7 @@ class ContactProcess(PetscOwner, Tabulated):
     _tape: ProcessTape | None = None
 
     def __init__(self, pairs: Any, options: Any, units: Any) -> None:
-        """Check and store the arguments that all problems have. Collective.
-
-        Raises:
-            InputError: an argument is wrong.
-        """
+        """Check and store the arguments that all problems have. Collective."""
         check_options(options)
         check_type("units", units, Units | None, 'such as Units("mm", "MPa")')
         self.options, self.units = options, units
@@ -445,10 +441,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return goals.tangent_of(data, self._contact.secondary, controls, directions)
 
     def _data_of_solution(self, controls: Sequence[Any]) -> DataOfSolution:
-        """Return the data of the last solution, to differentiate them by controls. Collective.
-
-        The number of nodes at the edge of their state is logged.
-        """
+        """Return the data of the last solution, to differentiate them by controls. Collective."""
         self._check_pairing_fixed()
         solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
@@ -511,12 +504,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the last solve, with K at its displacement; errors name the purpose. Collective.
-
-        Raises:
-            ContactError: the problem was destroyed, or nothing was solved since it changed.
-            InputError: the forms are no forms of UFL, or are on a mixed space.
-        """
+        """Return the last solve, with K at its displacement, for a purpose. Collective."""
         contact = self._contact
         contact.obstacles.check_no_tools(purpose)
         if contact.linear.component is not None:

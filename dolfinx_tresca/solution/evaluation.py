@@ -129,8 +129,7 @@ def evaluate(
 ) -> tuple[Evaluation, SlipHistory]:
     """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
 
-    The discretisation error is estimated on request. The slip history that is returned is the one
-    after this solution, if it becomes a load step.
+    The slip history that is returned is the one after this solution, if it becomes a load step.
     """
     B, comm = dual.jump, dual.jump.comm
     lam = dual.bounds(solution.multipliers, solution.gradient)
@@ -284,9 +283,8 @@ def node_values(
         change: largest change of a node's tractions that the iteration leaves [stress].
 
     Returns:
-        the states (n,), values of `ContactState`; slip vectors and increments of the slip paths
-        (n, d + 1) of this step [length]; those of all earlier steps; and the number of nodes in
-        each state, on all ranks.
+        the states (n,); slip vectors and increments of the slip paths (n, d + 1) of this step
+        [length]; those of all earlier steps; and the number of nodes in each state, on all ranks.
     """
     B, node = dual.jump, dual.jump.row_nodes[normal]
     numbers = [len(pair.nodes) for pair in B.pairs]
@@ -330,10 +328,9 @@ def status_of_fields(
 ) -> ContactStatus:
     """Return the status of a solve from its fields, which are what the user gets. Collective.
 
-    The fields are computed anew from the last multipliers, and so is the bound of their error. It
-    may be larger than the bound with which the iteration ended: then rounding prevents the accuracy
-    that `options` ask for. It may also be small enough for what the user requested although the
-    iteration ended early, since `options` may ask for more, or the iterates were less accurate.
+    The bound of their error, from the last multipliers, may be larger than that of the iteration:
+    then rounding prevents the accuracy that `options` ask for. It may also be small enough for what
+    the user requested although the iteration, whose `options` may ask for more, ended early.
     """
     if solution.status is ContactStatus.STOPPED:
         return ContactStatus.STOPPED
@@ -358,7 +355,7 @@ def status_of_fields(
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """Return the largest change of a slip bound, relative to the largest bound. Collective.
 
-    The bounds change as the tractions of each node move to the node's own minimiser, see
+    The tractions of each node move to the node's own minimiser, see
     `DualProgram.decoupled_minimiser`.
     """
     finite = np.isfinite(lam.radius)

@@ -36,9 +36,7 @@ from dolfinx_tresca.stiffness.forms import has_stresses
 
 @dataclass(frozen=True)
 class BodyFrames:
-    """The frame of each body of a mesh.
-
-    Bodies without a frame have R = 1 and t = 0, so that v = u.
+    """The frame of each body of a mesh; bodies without a frame have R = 1 and t = 0.
 
     Attributes:
         V: the space of the displacement.
@@ -68,15 +66,11 @@ class BodyFrames:
         """Return the frames of undeformed bodies; None if no body can have a frame. Collective.
 
         A body has no frame if it is a body of revolution in its meridian, or one of a mixed space;
-        if directions of prescribed displacements let it turn about no axis; if K resists its rigid
-        motions, as with springs that tie it to a place in space; or if L has derivatives of the
-        test function, which are stresses inside the bodies and would turn with them.
-
-        Args:
-            system: a `LinearSystem` with K assembled.
-            bodies: the bodies of its mesh.
-            fixed_surfaces: numbers of the nodes of surfaces with small sliding, whose normals do
-                not turn; their bodies have no frames.
+        if directions of prescribed displacements let it turn about no axis; if K, which is
+        assembled, resists its rigid motions, as with springs that tie it to a place in space; if L
+        has derivatives of the test function, which are stresses inside the bodies and would turn
+        with them; or if it has nodes on surfaces with small sliding (`fixed_surfaces`), whose
+        normals do not turn.
         """
         V, number = system.V, bodies.number
         if system.component is not None or system.axisymmetric or has_stresses(system.loads):
@@ -121,10 +115,7 @@ class BodyFrames:
         return self._points + in_space(u.x.array.reshape(-1, self.V.mesh.geometry.dim))
 
     def _moments(self, x: Array) -> tuple[Array, Array]:
-        """Return the mean (bodies, 3) of positions x of guides, and their moments. Collective.
-
-        The moments (bodies, 3, 3) are the sums of (x - mean) (X - mean)'.
-        """
+        """Return means (bodies, 3) of positions x of guides, and sums of (x - mean) (X - mean)'."""
         comm, label, X = self.V.mesh.comm, self.label[: len(x)], self._points[: len(x)]
         sums = np.zeros((len(self.has_frame), 7))
         np.add.at(sums, label[self.guides], np.column_stack([X, x, np.ones(len(x))])[self.guides])
@@ -138,9 +129,8 @@ class BodyFrames:
     def moved_with(self, u: fem.Function) -> BodyFrames | None:
         """Return the frames that move with a displacement; None if all are at rest. Collective.
 
-        R is the rotation that maps the undeformed guides best, in the least-squares sense, onto
-        their displaced positions (polar decomposition), among the rotations that the body's axis
-        allows.
+        R maps the undeformed guides best, in the least-squares sense, onto their displaced
+        positions (polar decomposition), among the rotations that the body's axis allows.
         """
         owned = len(self.guides)
         mean, moments = self._moments(self._positions(u)[:owned])
@@ -211,9 +201,8 @@ class BodyFrames:
     def continued(self, before: fem.Function, after: fem.Function, fraction: float) -> fem.Function:
         """Return a displacement at which bodies have gone on as they moved. Collective.
 
-        The motion of each body from one displacement to another is continued as a rigid motion:
-        its mean goes on straight ahead, and it turns on about the same axis. The fraction is how
-        far they go on from `after`, relative to their last motion.
+        The rigid motion of each body from one displacement to another goes on by a fraction of it:
+        its mean straight ahead, and its rotation about the same axis.
         """
         owned, label = len(self.guides), self.label
         positions = [self._positions(u) for u in (before, after)]
