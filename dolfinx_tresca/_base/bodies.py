@@ -129,11 +129,6 @@ class Bodies:
             for k, name in enumerate(self.tag_names, start=1)
         )
 
-    @property
-    def mean_nodes(self) -> float:
-        """The mean number of nodes per body, weighted by this number: large bodies decide."""
-        return float(self.nodes @ self.nodes / self.nodes.sum())
-
     def rigid_modes(self, dim: int) -> csr_array:
         """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
 

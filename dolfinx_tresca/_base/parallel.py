@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, issparse, vstack
 import dolfinx.la
 from dolfinx import common
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
 from dolfinx_tresca.errors import InputError, shown
 
 #: A space at which lines are not broken, such as a space between the components of a vector.
@@ -197,7 +197,7 @@ def exchange(
     return np.concatenate(received), np.repeat(np.arange(comm.size), list(map(len, received)))
 
 
-def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
+def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array) -> Array:
     """Return sums (nodes, k) of values (..., k) at local nodes (...) of all ranks. Collective."""
     vector = dolfinx.la.vector(index_map, values.shape[-1])
     vector.array[:] = 0.0

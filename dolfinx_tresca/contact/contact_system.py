@@ -111,7 +111,8 @@ class ContactSystem(PetscOwner):
         cell_tags = (pair.cell_tags for pair in pairs if pair.cell_tags is not None)
         self.bodies = Bodies.from_space(linear.V, next(cell_tags, None))
         dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
-        size = dim * self.bodies.mean_nodes
+        nodes = self.bodies.nodes
+        size = dim * float(nodes @ nodes / nodes.sum())  # of each node's body: large ones decide
         self.method, self.reason = request.choose(size, dim, linear.comm, saddle=is_saddle)
         self._modes: RigidBodyModes | None = None
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)

@@ -13,13 +13,13 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
-import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.functions import nodes_of_vertices, zero_like
+from dolfinx_tresca._base.parallel import summed_at_nodes
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
@@ -247,14 +247,10 @@ class Surface:
         own = self.scalar.function_space.dofmap.index_map.size_local
         V, values = self.work.function_space, function.x.array.reshape(-1, columns)[:own]
         # the rank that owns a node of V may have no cell of the surface at this node
-        whole = fem.Function(V)
-        rows = whole.x.array.reshape(-1, self.mesh.geometry.dim)
-        rows[self.parent[:own], :columns] = values
-        whole.x.scatter_reverse(dolfinx.la.InsertMode.add)
-        whole.x.scatter_forward()
-        density = rows[operators.nodes]
+        whole = summed_at_nodes(V.dofmap.index_map, self.parent[:own], values)
         across = ContactOperators(V, operators, self.pair)
-        return across.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
+        is_scalar = function.ufl_shape == ()
+        return across.on_both_sides(whole[operators.nodes], function.name, scalar=is_scalar)
 
     def fields(
         self, operators: PairOperators, u: fem.Function, values: Mapping[str, Array]

@@ -157,12 +157,9 @@ class BodyFrames:
         arm = self._points - self.centre[self.label]
         moved = np.einsum("nij,nj->ni", (self.rotation - np.eye(3))[self.label], arm)
         result = fem.Function(self.V)
-        result.x.array[:] = self._values(moved + self.translation[self.label])
+        moved += self.translation[self.label]
+        result.x.array[:] = moved[:, : self.V.mesh.geometry.dim].ravel()
         return result
-
-    def _values(self, vectors: Array) -> Array:
-        """Return vectors (nodes, 3) as nodal values (nodes * d,)."""
-        return vectors[:, : self.V.mesh.geometry.dim].ravel()
 
     def into_space(self, v: Array) -> Array:
         """Return R v for nodal values (nodes * d,) of this rank, with or without ghosts."""
@@ -213,10 +210,9 @@ class BodyFrames:
         arm = positions[1] - means[1][label]
         moved = means[1] + fraction * (means[1] - means[0])
         x = moved[label] + np.einsum("nij,nj->ni", turn[label], arm)
-        result = after.copy()
-        has_frame = np.repeat(self.has_frame[label], self.V.mesh.geometry.dim)
-        values = self._values(x - self._points)
-        result.x.array[has_frame] = values[has_frame]
+        result, has_frame = after.copy(), self.has_frame[label]
+        dim = self.V.mesh.geometry.dim
+        result.x.array.reshape(-1, dim)[has_frame] = (x - self._points)[has_frame, :dim]
         return result
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
