@@ -52,8 +52,8 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.pairing.undeformed import groups_of
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import Bonded, Frictionless
-from dolfinx_tresca.scene.obstacle import RigidMotion, RigidObstacle
+from dolfinx_tresca.scene.friction import Frictionless
+from dolfinx_tresca.scene.obstacle import RigidMotion
 from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.solution import scene_checks
 from dolfinx_tresca.solution.evaluation import evaluate, status_of_fields
@@ -144,7 +144,7 @@ class ContactSystem(PetscOwner):
                 rounding = self.compliance.stress_rounding
                 for pair, on_nodes in zip(pairs, operators, strict=True):
                     self.friction.check(pair.friction, on_nodes.nodes, rounding)
-        self.frames_at_rest = self._frames_at_rest()
+        self.frames_at_rest = BodyFrames.at_rest(linear, self.bodies, pairs)
         scene_checks.hint_at_scene(linear.V, pairs, self.jump.pairs, self.bodies)
 
     def _factored(self) -> ContactCompliance:
@@ -190,22 +190,6 @@ class ContactSystem(PetscOwner):
                 f"method={options.method!r} needs bodies that are held by supports, but found "
                 f"{self.bodies_found}. Take method='projected_newton'."
             )
-
-    def _frames_at_rest(self) -> BodyFrames | None:
-        """Return the frames of undeformed linear bodies with finite sliding. Collective."""
-        if not self.slides_far or self.linear.is_tangent:
-            return None
-        V, dim = self.linear.V, self.linear.V.mesh.topology.dim - 1
-        facets = [
-            pair.facet_tags.find(side)
-            for pair in self.pairs
-            for side in (pair.secondary, pair.primary)
-            if pair.sliding != "finite"
-            and not isinstance(side, RigidObstacle)
-            and not isinstance(pair.friction, Bonded)
-        ]
-        surfaces = [fem.locate_dofs_topological(V, dim, numbers) for numbers in facets]
-        return BodyFrames.at_rest(self.linear, self.bodies, surfaces)
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -406,7 +390,7 @@ class ContactSystem(PetscOwner):
         """Assemble and factor K again. Collective."""
         self.compliance.destroy()
         self.compliance = self._factored()
-        frames = self._frames_at_rest()
+        frames = BodyFrames.at_rest(self.linear, self.bodies, self.pairs)
         if self.jump.frames is not None and (
             frames is None or (frames.has_frame != self.jump.frames.has_frame).any()
         ):

@@ -26,11 +26,13 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, in_space
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies, label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
+from dolfinx_tresca.scene.friction import Bonded
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 
@@ -61,19 +63,22 @@ class BodyFrames:
 
     @classmethod
     def at_rest(
-        cls, system: Any, bodies: Bodies, fixed_surfaces: Sequence[LocalNumbers]
+        cls, system: Any, bodies: Bodies, pairs: Sequence[ContactPair]
     ) -> BodyFrames | None:
         """Return the frames of undeformed bodies; None if no body can have a frame. Collective.
 
-        A body has no frame if it is a body of revolution in its meridian, or one of a mixed space;
-        if directions of prescribed displacements let it turn about no axis; if K, which is
-        assembled, resists its rigid motions, as with springs that tie it to a place in space; if L
-        has derivatives of the test function, which are stresses inside the bodies and would turn
-        with them; or if it has nodes on surfaces with small sliding (`fixed_surfaces`), whose
-        normals do not turn.
+        There are frames with finite sliding alone. A body has no frame if it is nonlinear, a body
+        of revolution in its meridian, or one of a mixed space; if directions of prescribed
+        displacements let it turn about no axis; if K, which is assembled, resists its rigid
+        motions, as with springs that tie it to a place in space; if L has derivatives of the test
+        function, which are stresses inside the bodies and would turn with them; or if it has nodes
+        on surfaces with small sliding, whose normals do not turn.
         """
         V, number = system.V, bodies.number
-        if system.component is not None or system.axisymmetric or has_stresses(system.loads):
+        slides_far = any(pair.sliding == "finite" for pair in pairs)
+        if not slides_far or system.is_tangent or system.component is not None:
+            return None
+        if system.axisymmetric or has_stresses(system.loads):
             return None
         owned, dim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
         label = label_bodies(V)
@@ -81,8 +86,11 @@ class BodyFrames:
         whole = prescribed.all(axis=1)
         alone = np.zeros((number, 3), dtype=np.int64)  # nodes with a prescribed single component
         np.add.at(alone[:, :dim], label[:owned], prescribed & ~whole[:, None])
-        for nodes in fixed_surfaces:
-            alone[label[nodes]] = 1
+        for pair in pairs:
+            if pair.sliding != "finite" and not isinstance(pair.friction, Bonded):
+                sides = [pair.secondary, *([] if pair.obstacle else [pair.primary])]
+                facets = np.concatenate([pair.facet_tags.find(side) for side in sides])
+                alone[label[fem.locate_dofs_topological(V, dim - 1, facets)]] = 1
         alone[:] = reduce_array(system.comm, alone)
         axis = np.where((alone > 0) & (alone.sum(axis=1) == alone.max(axis=1))[:, None], 1.0, 0.0)
         has_frame = (np.count_nonzero(alone, axis=1) <= dim - 2) & ~_resisted(system, bodies)
