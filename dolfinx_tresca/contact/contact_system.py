@@ -213,11 +213,13 @@ class ContactSystem(PetscOwner):
 
     def added_gaps(self) -> list[Array]:
         """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective."""
-        overlaps, gaps = self.obstacles.bolt_overlaps(self.jump), []
-        for pair, on_nodes, overlap in zip(self.pairs, self.jump.pairs, overlaps, strict=True):
-            gap, name = pair.gap, f"the gap of contact pair {pair}"
-            gap = 0.0 if gap is None else gap
-            gaps.append(self.friction.values.scalars_at(gap, on_nodes.nodes, name) + overlap)
+        gaps = []
+        for pair, on_nodes in zip(self.pairs, self.jump.pairs, strict=True):
+            gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
+            gaps.append(self.friction.values.scalars_at(gap, on_nodes.nodes, name))
+        motions = self.obstacles.motions
+        for number, (_, axis) in self.obstacles.bolts(self.jump).items():
+            gaps[number] += float(axis @ motions[number][:, 3])
         return gaps
 
     def update_gaps(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, reduce_array
 from dolfinx_tresca.contact.step_state import StepState
@@ -19,7 +19,6 @@ from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.floating.equilibrium import FreeMotion, Tools
-from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Preload
 from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -71,40 +70,31 @@ class Obstacles:
                 place[:] = ends[0].towards(ends[1], fraction, obstacle.centre).matrix
         return result
 
-    def axis(self, number: int, operators: PairOperators) -> Array:
-        """Return the mean normal (3,) of the secondary side of a bolt's cut. Collective."""
-        comm, axis = self._V.mesh.comm, np.zeros(3)
-        dim = operators.normals.shape[1]
-        mean = reduce_array(comm, operators.weights @ operators.normals)
-        axis[:dim] = mean / (np.linalg.norm(mean) or 1.0)
-        tilt = 1.0 - (operators.normals @ axis[:dim]).min(initial=1.0)
-        if comm.allreduce(tilt, op=MPI.MAX) > FLAT:
-            raise InputError(
-                f"contact pair {self._pairs[number]} with a preload must be a flat cut across one "
-                "bolt: cut the bolt by a plane, and give each bolt a pair of its own."
-            )
-        return axis
-
-    def bolt_overlaps(self, jump: JumpOperator) -> list[float]:
-        """Return by how much the bolt of each pair is pulled [length], else 0. Collective."""
-        motions = self.motions
-        return [
-            float(self.axis(number, operators) @ motions[number][:, 3])
-            if isinstance(pair.friction, Preload)
-            else 0.0
-            for number, (pair, operators) in enumerate(zip(self._pairs, jump.pairs, strict=True))
-        ]
+    def bolts(self, jump: JumpOperator) -> dict[int, tuple[Preload, Array]]:
+        """Return number of pair -> preload, and mean normal (3,) of the cut. Collective."""
+        comm, bolts = self._V.mesh.comm, {}
+        for number, (pair, operators) in enumerate(zip(self._pairs, jump.pairs, strict=True)):
+            if not isinstance(pair.friction, Preload):
+                continue
+            mean = reduce_array(comm, operators.weights @ operators.normals)
+            axis = mean / (np.linalg.norm(mean) or 1.0)
+            tilt = 1.0 - (operators.normals @ axis).min(initial=1.0)
+            if comm.allreduce(tilt, op=MPI.MAX) > FLAT:
+                raise InputError(
+                    f"contact pair {pair} with a preload must be a flat cut across one bolt: cut "
+                    "the bolt by a plane, and give each bolt a pair of its own."
+                )
+            bolts[number] = pair.friction, in_space(axis)
+        return bolts
 
     def bolt_forces(
         self, jump: JumpOperator, resultants: Sequence[Resultant]
     ) -> dict[str, BoltForce]:
         """Return the force in each bolt, by the name of its pair, from all pairs' resultants."""
         result = {}
-        for number, (pair, resultant) in enumerate(zip(self._pairs, resultants, strict=True)):
-            if isinstance(pair.friction, Preload):
-                axis = self.axis(number, jump.pairs[number])
-                force = float(resultant.force @ axis[: len(resultant.force)])
-                result[str(pair)] = BoltForce(force, force - pair.friction.value)
+        for number, (preload, axis) in self.bolts(jump).items():
+            force = float(axis @ in_space(resultants[number].force))
+            result[str(self._pairs[number])] = BoltForce(force, force - preload.value)
         return result
 
     def check_no_tools(self, purpose: str) -> None:
@@ -123,13 +113,13 @@ class Obstacles:
         The first accepted load step locks the bolts: the process has then `begun`.
         """
         motions: list[FreeMotion] = []
+        bolts = {} if begun else self.bolts(jump)
         for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
-            if isinstance(pair.friction, Preload) and not begun:
-                direction = np.append(self.axis(number, jump.pairs[number]), np.zeros(3))
-                force, point = pair.friction.value, np.zeros(3)
-                motions.append(
-                    FreeMotion(f"bolt {pair}", "overlap", [number], direction, point, force)
-                )
+            if number in bolts:
+                preload, axis = bolts[number]
+                direction, point = np.append(axis, np.zeros(3)), np.zeros(3)
+                bolt = f"bolt {pair}", "overlap", [number], direction, point, preload.value
+                motions.append(FreeMotion(*bolt))
             elif obstacle is not None and obstacle.given_forces is not None:
                 if pair.sliding == "finite":
                     raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")

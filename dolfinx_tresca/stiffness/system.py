@@ -213,7 +213,8 @@ class LinearSystem(PetscOwner):
     def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
 
-        u has the prescribed values, the forces not their effect. The caller owns the vector.
+        u has the prescribed values, whose effect the forces do not contain. The caller owns the
+        vector.
         """
         result = self.product(u.array)
         result.aypx(-1.0, forces)
@@ -237,7 +238,7 @@ class LinearSystem(PetscOwner):
         return self.K if self.component is None else self.component.block(self.K)
 
     def displacement(self, w: fem.Function, name: str) -> fem.Function:
-        """Return the displacement of a Function on `space`, which may be itself, renamed."""
+        """Return the displacement in a Function on `space`, maybe itself, with a new name."""
         u = w if self.component is None else self.component.extract(w)
         u.name = name
         return u
@@ -341,7 +342,7 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite, and what is prescribed for other unknowns zero. Collective."""
+        """Check that f is finite, and zero where other unknowns are prescribed. Collective."""
         values = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
         with errors_on_all_ranks(self.comm):
             if values.any():
