@@ -114,9 +114,8 @@ class Bodies:
         label = label[: V.dofmap.index_map.size_local]
         centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
         size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
-        points = V.tabulate_dof_coordinates()[: len(label)]
         # scaled coordinates, for rotations of each body
-        arm = (points - centre[label]) / size[label, None]
+        arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / size[label, None]
         nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=number))
         return cls(int(number), tag_names, label, bounds, nodes, arm)
 

@@ -246,9 +246,3 @@ def timed(name: str, timings: dict[str, float]) -> Iterator[None]:
     with common.Timer(f"~dolfinx_tresca: {name}"):
         yield
     timings[name] = timings.get(name, 0.0) + time.perf_counter() - start
-
-
-def largest_over_ranks(comm: MPI.Comm, timings: dict[str, float]) -> dict[str, float]:
-    """Return the largest time of each phase over all ranks [s]. Collective."""
-    values = reduce_array(comm, list(timings.values()), MPI.MAX)
-    return dict(zip(timings, values.tolist(), strict=True))

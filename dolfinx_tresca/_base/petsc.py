@@ -110,6 +110,5 @@ def product(matrix: PETSc.Mat, columns: csr_array) -> csr_array:
     `columns` has as many rows of this rank as the matrix has columns there.
     """
     comm, k = matrix.comm, columns.shape[1]
-    right = sparse_matrix(columns, (k if comm.rank == 0 else 0, k), comm)
-    result = matrix.matMult(right)
+    result = matrix.matMult(sparse_matrix(columns, (k if comm.rank == 0 else 0, k), comm))
     return csr_array(result.getValuesCSR()[::-1], shape=(result.getLocalSize()[0], k))

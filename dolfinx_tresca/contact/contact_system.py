@@ -17,14 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Mask, real
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import (
-    errors_on_all_ranks,
-    largest_over_ranks,
-    largest_sizes,
-    log,
-    timed,
-    warn,
-)
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, log, timed, warn
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
@@ -377,8 +370,7 @@ class ContactSystem(PetscOwner):
 
     def _at_nodes(self, values: Array, default: float) -> Array:
         """Return the values (pairs, owned nodes) of normal rows, from those (size,) of B's rows."""
-        nodes = self.linear.V.dofmap.index_map.size_local
-        result = np.full((len(self.pairs), nodes), default)
+        result = np.full((len(self.pairs), self.linear.V.dofmap.index_map.size_local), default)
         for of_pair, pair, (n, _) in zip(result, self.jump.pairs, self.jump.slices, strict=True):
             of_pair[pair.nodes[pair.normal_node]] = values[n]
         return result
@@ -532,8 +524,7 @@ class ContactSystem(PetscOwner):
                 dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
             except MechanismError as error:
                 motion = with_owned_values(self.linear.V, error.motion, "motion")
-                lengths = np.linalg.norm(owned_values(motion), axis=1)
-                (greatest,) = largest_sizes(self.comm, lengths)
+                (greatest,) = largest_sizes(self.comm, np.linalg.norm(owned_values(motion), axis=1))
                 motion.x.array[:] /= greatest or 1.0  # zero where tools move
                 error.motion = motion
                 raise
@@ -556,6 +547,7 @@ class ContactSystem(PetscOwner):
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
+        timings = dict(zip(timings, largest_sizes(self.comm, *timings.values()), strict=True))
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
         solution = StepSolution(
             status, dual, multipliers, evaluation, history, curves, inputs, moved, motions
@@ -576,7 +568,7 @@ class ContactSystem(PetscOwner):
             krylov_iterations=compliance.solver.krylov_iterations - krylov,
             residuals=dual_solution.residuals,
             q=dual_solution.q,
-            timings=largest_over_ranks(self.comm, timings),
+            timings=timings,
             sliding=sliding,
             problem_rows=self.rows(units),
             bolts=self.obstacles.bolt_forces(jump, evaluation.pair_resultants),

@@ -77,7 +77,7 @@ class Configuration:
         u: displacement of the solution [length], with ghosts.
         loads: (pairs, owned nodes) normal force of the solution at each node; 0 at open nodes.
         forces: contact forces of the solution [force] at owned unknowns.
-        gaps: (pairs, owned nodes) gaps of the solution [length].
+        gaps: (pairs, owned nodes) gaps of the solution [length], NaN without multipliers.
         distance: |u - w|^2 [length^2].
     """
 
@@ -198,8 +198,7 @@ class FiniteSliding:
             w = w if linear.frames is None else linear.frames.displacement(w)
         finally:
             linear.frames = frames
-        change = w.x.array - origin.x.array
-        moved, displaced = largest_sizes(contact.comm, change, w.x.array)
+        moved, displaced = largest_sizes(contact.comm, w.x.array - origin.x.array, w.x.array)
         if moved > ROUNDING * (contact.obstacles.extent + displaced):
             contact.pair_where_changed(w)
 

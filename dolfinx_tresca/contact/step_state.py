@@ -117,8 +117,7 @@ class StepState:
         """Return the state of undeformed bodies without load. Not collective."""
         zeros, at_rest = np.zeros(len(jump.gap)), fem.Function(jump.system.V)
         accepted = AcceptedStep(zeros, None, None, motions, None)
-        history = SlipHistory.none(jump)
-        return cls(jump, history, zeros, motions, at_rest, at_rest, accepted)
+        return cls(jump, SlipHistory.none(jump), zeros, motions, at_rest, at_rest, accepted)
 
     def started_at(self, multipliers: Array) -> StepState:
         """Return the state in which solves start at multipliers until a step is accepted."""

@@ -56,8 +56,7 @@ class NonlinearContactSolution(ContactSolution):
         return super().failure
 
     def _rows(self) -> list[Row]:
-        steps = self.newton.steps
-        newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
+        newton = f"{len(self.newton.steps)} steps, residual {self.newton.residual:.1e}"
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
         result = [rows[0], ("Newton", newton), *rows[1:]]
         if self.newton.snaps:

@@ -174,8 +174,7 @@ class TangentSystem(LinearSystem):
 
     def begin(self, contact_forces: Array) -> None:
         """Begin the continuation at the present u_k with contact forces B'lambda. Collective."""
-        owned = self.u.x.array[: len(self.prescribed)]
-        self._prescribed_before = owned[self.prescribed]
+        self._prescribed_before = self.u.x.array[: len(self.prescribed)][self.prescribed]
         self.fraction = 1.0
         self._initial_residual = self.residual(contact_forces)
 
@@ -422,8 +421,7 @@ class TangentProblem(ContactSystem):
             return math.nan
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
-        solver = self.compliance.solver
-        solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
+        self.compliance.solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
         if self._reference_block is not None:
             correction.x.scatter_forward()
             return self.energy_norm(correction.x.array)
@@ -449,8 +447,7 @@ class TangentProblem(ContactSystem):
         """
         K, moves = self.tangent.K, self.tangent.moves
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
-        diagonal = K.getDiagonal()
-        terms = np.abs(diagonal.array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
+        terms = np.abs(K.getDiagonal().array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
         total = entries * self.comm.allreduce(float(terms.sum()))
         return ROUNDING * math.hypot(math.sqrt(total), self._norm(self._position()))
 

@@ -66,13 +66,7 @@ class NodeCounts:
 
 
 class PairState(NamedTuple):
-    """How far a pair is closed.
-
-    Attributes:
-        pressed: number of nodes with pressure.
-        nodes: number of nodes.
-        opening: largest distance by which its sides have moved apart [length].
-    """
+    """How far a pair is closed; `opening` is by how much its sides have moved apart at most."""
 
     pressed: int
     nodes: int
@@ -150,8 +144,7 @@ def evaluate(
     origin = dual.history.origin.copy()  # the next step starts from where tools are now
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     target = dual.decoupled_minimiser(solution.multipliers, r)
-    cones = dual.admissible.at_point(solution.multipliers, r)
-    moved = cones.section(target)
+    moved = dual.admissible.at_point(solution.multipliers, r).section(target)
     stick = moved.face(target).stick
     slip = np.zeros_like(jump)
     slips = lam.tangential[~stick[lam.node]]

@@ -129,8 +129,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         )
     for number, bc in enumerate(bcs):
         kind = "a Dirichlet condition of type float64, as dolfinx.fem.dirichletbc(...) makes it"
-        condition = getattr(bc, "_cpp_object", bc)
-        check_type(f"bcs[{number}]", condition, DirichletBC_float64, kind)
+        check_type(f"bcs[{number}]", getattr(bc, "_cpp_object", bc), DirichletBC_float64, kind)
         if not contains(space, bc):
             raise InputError(
                 f"bcs[{number}] is on another function space than the forms: take V, or V.sub(i)."
@@ -224,8 +223,7 @@ class Component:
 
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the component's block of K, numbered like V; the caller owns it. Collective."""
-        columns = self._parts.copy().transpose()
-        return K.ptap(columns)
+        return K.ptap(self._parts.copy().transpose())
 
 
 def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
