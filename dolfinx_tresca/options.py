@@ -80,11 +80,7 @@ class SolverOptions:
     geometry_accuracy: float = 1e-4
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            InputError: a value has the wrong type or is out of its range.
-        """
+        """Check every value."""
         check_word("method", self.method, get_args(Method))
         iterations = checked_integer("max_iterations", self.max_iterations)
         object.__setattr__(self, "max_iterations", iterations)
@@ -113,10 +109,7 @@ class SolverOptions:
         return replace(self, **given)
 
     def at_least(self, accuracy: float) -> SolverOptions:
-        """Return a copy whose `rtol` or `accuracy` is at most a given value in (0, 1).
-
-        Balanced options are returned unchanged.
-        """
+        """Return a copy whose `rtol` or `accuracy` is at most a value, but not if balanced."""
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
         if self.accuracy == "balanced":

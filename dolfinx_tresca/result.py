@@ -187,10 +187,7 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def slip(self) -> fem.Function | None:
-        """Slip of the only pair [length], the secondary minus the primary side; see `surface`.
-
-        None without friction.
-        """
+        """Slip of the only pair [length], secondary minus primary side; None without friction."""
         return self.surface.slip
 
     @property
@@ -211,14 +208,7 @@ class ContactSolution(Evaluation, Tabulated):
     def on_mesh(self, name: str) -> fem.Function:
         """Return a field of the only pair on the problem's mesh, for forms. Collective.
 
-        See `SurfaceFields.on_mesh`.
-
-        Args:
-            name: name of the field, such as "pressure".
-
-        Raises:
-            ContactError: the problem has several pairs: take `surfaces[i].on_mesh`.
-            InputError: the surface has no such field.
+        See `SurfaceFields.on_mesh`; with several pairs take `surfaces[i].on_mesh`.
         """
         return self.surface.on_mesh(name)
 
@@ -266,11 +256,7 @@ class ContactSolution(Evaluation, Tabulated):
         return on_body.about(whole.point if point is None else point)
 
     def _body_index(self, body: int | str) -> int:
-        """Return the index of a body that is given by its index or by its name.
-
-        Raises:
-            InputError: there is no such body.
-        """
+        """Return the index of a body that is given by its index or by its name."""
         if isinstance(body, str) and body in self.body_names:
             return self.body_names.index(body)
         index, highest = integer(body), len(self.body_names) - 1

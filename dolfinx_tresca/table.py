@@ -45,11 +45,7 @@ class Units:
     force: str = ""
 
     def __post_init__(self) -> None:
-        """Check the names.
-
-        Raises:
-            InputError: a name is not a string, or the name of the length or the stress is empty.
-        """
+        """Check the names."""
         for field in fields(self):
             name = getattr(self, field.name)
             if not isinstance(name, str) or (not name.strip() and field.name != "force"):
@@ -108,10 +104,7 @@ def as_text(rows: Sequence[Row]) -> str:
 
 
 def as_html(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table for notebooks, in the colours of the notebook's theme.
-
-    Rows have a name and any number of values.
-    """
+    """Return a table for notebooks, in the colours of the notebook's theme."""
     left = 'style="text-align: left"'  # Jupyter aligns texts in tables to the right
     lines = []
     for name, *values in rows:

@@ -37,18 +37,16 @@ def collective(
 ) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Decorate a collective function so that the ranks compare its arguments before its body runs.
 
-    The body may then check values without communication, since all ranks get the same result. Data
-    that differ between the ranks by design, such as the values of a Function, are not compared. The
-    comparison sends some 16 bytes to all ranks, and costs nothing on a single rank. If the
-    arguments of a rank are wrong and have no communicator, the rank compares them with the
-    processes of its last collective call.
+    The body may then check values without communication. Data that differ between the ranks by
+    design, such as the values of a Function, are not compared. The comparison sends some 16 bytes
+    to all ranks. If the arguments of a rank are wrong and have no communicator, the rank compares
+    them with the processes of its last collective call.
 
     Args:
-        comm: function that is given a mapping name -> argument and returns the communicator, or
-            None if no argument has a communicator; the body must then raise an error.
+        comm: function from a mapping name -> argument to the communicator, or to None if no
+            argument has a communicator; the body must then raise an error.
         ignored: names of arguments that may differ between the ranks.
-        extra_values: function that takes `self` and returns a mapping name -> further value that
-            must agree between the ranks.
+        extra_values: function from `self` to a mapping name -> further value that must agree.
     """
 
     def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -78,11 +76,7 @@ def collective(
 
 
 def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
-    """Return this module's own communicator with the same processes as `comm`.
-
-    The first call for a group of processes duplicates `comm` and is collective; later calls return
-    the same duplicate.
-    """
+    """Return this module's own duplicate of a communicator, made by the first, collective call."""
     same = (MPI.IDENT, MPI.CONGRUENT)
     numbers = [k for k, own in enumerate(_comms) if MPI.Comm.Compare(own, comm) in same]
     _comms.append(_comms.pop(numbers[0]) if numbers else comm.Dup())
@@ -90,11 +84,7 @@ def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
 
 
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
-    """Return a function, for `collective`, that finds the communicator among the named arguments.
-
-    This is the first argument that is a communicator or has a mesh; others, which may be wrong, are
-    passed over.
-    """
+    """Return a function that finds the communicator among the named arguments, for `collective`."""
     return lambda given: _mesh_comm([given.get(name) for name in names])
 
 
@@ -122,13 +112,9 @@ def _mesh_comm(value: Any) -> MPI.Comm | None:
 def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> _T:
     """Call a function of the user; an exception on one rank is raised on all ranks. Collective.
 
-    The function may make collective calls of this package. If it raises an exception on one rank,
-    the other ranks receive the exception in their next collective call of this package. Ranks that
-    wait in a collective call of another library do not receive it. The name of the function is for
-    error messages.
-
-    Raises:
-        BaseException: the exception of the function; see `errors_on_all_ranks`.
+    The function may make collective calls of this package. After an exception on one rank, the
+    other ranks receive it in their next collective call of this package, but not while they wait in
+    a call of another library.
     """
     results: list[_T] = []
 
@@ -146,11 +132,7 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
     Args:
         comm: the communicator.
         where: the name of the call.
-        values: function that returns name -> value; each value must be equal on all ranks.
-
-    Raises:
-        BaseException: the exception of `values` on the lowest rank that has one.
-        InputError: the ranks are in different calls, or a value differs between them.
+        values: function that returns name -> value; its exception on one rank is raised on all.
     """
     comm = _comm_of_group(comm)
     with errors_on_all_ranks(comm):
@@ -163,10 +145,7 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
 
 
 def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputError:
-    """Return an error that names the first difference between the ranks.
-
-    For each rank, `rank_texts` has the name of its call and the texts that describe the values.
-    """
+    """Return an error for the first difference between the calls of ranks, and texts of values."""
     expected_place, expected = rank_texts[0]
     rank, (where, texts) = next(
         item for item in enumerate(rank_texts) if item[1] != (expected_place, expected)
@@ -185,10 +164,7 @@ def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputErr
 
 
 def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Yield name and text of a value, and of each of its parts: equal on all ranks if values agree.
-
-    Meshes, and values of Functions, are distributed and not compared.
-    """
+    """Yield name and text of a value, and of its parts, but not of distributed data."""
     if hasattr(value, "values_to_agree"):
         items = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}
     elif dataclasses.is_dataclass(value) and type(value).__module__.startswith("dolfinx_tresca."):

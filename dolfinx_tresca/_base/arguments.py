@@ -21,11 +21,7 @@ _IN_WORDS = {
 
 
 def checked_number(name: str, value: Any, interval: str = "(0, inf)") -> float:
-    """Return a number in an interval, such as "(0, 1]" for x with 0 < x <= 1.
-
-    Raises:
-        InputError: the value is no such number.
-    """
+    """Return a number in an interval, such as "(0, 1]"; raise an InputError for other values."""
     number = real(value)
     low, high = map(float, interval[1:-1].split(","))
     is_excluded = {low: interval[0] == "(", high: interval[-1] == ")"}
@@ -36,11 +32,7 @@ def checked_number(name: str, value: Any, interval: str = "(0, inf)") -> float:
 
 
 def checked_integer(name: str, value: Any, least: int = 1) -> int:
-    """Return an integer that is at least `least`.
-
-    Raises:
-        InputError: the value is no such number.
-    """
+    """Return an integer that is at least `least`; raise an InputError for other values."""
     number = integer(value)
     if number is None or number < least:
         wanted = "a positive integer" if least == 1 else f"an integer from {least} on"
@@ -49,12 +41,7 @@ def checked_integer(name: str, value: Any, least: int = 1) -> int:
 
 
 def real_array(value: npt.ArrayLike) -> Array:
-    """Return a value as an array of floats.
-
-    Raises:
-        TypeError: the value holds objects other than real numbers.
-        ValueError: its rows have different lengths.
-    """
+    """Return real numbers as floats; raise a TypeError or ValueError for other or ragged values."""
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":
         raise TypeError(f"expected real numbers, found {array.dtype}")
@@ -62,11 +49,7 @@ def real_array(value: npt.ArrayLike) -> Array:
 
 
 def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) -> Array:
-    """Return a vector of finite numbers, whose length is one of the given sizes.
-
-    Raises:
-        InputError: the value is no such vector, or it is zero and `nonzero`.
-    """
+    """Return a vector of finite numbers with one of the sizes; raise an InputError for others."""
     try:
         vector = real_array(value)
     except (TypeError, ValueError):
@@ -80,20 +63,12 @@ def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) ->
 
 
 def check_type(name: str, value: Any, kinds: Any, wanted: str, advice: str = "") -> None:
-    """Check that an argument has a type, or one of a union; `advice` is one more sentence.
-
-    Raises:
-        InputError: the argument has another type.
-    """
+    """Check that an argument has a type, or one of a union; `advice` is one more sentence."""
     if not isinstance(value, kinds):
         raise InputError(f"{name} must be {wanted}, found {shown(value)}.{advice}")
 
 
 def check_word(name: str, value: Any, choices: Sequence[str]) -> None:
-    """Check that a value is one of several words.
-
-    Raises:
-        InputError: it is none of them.
-    """
+    """Check that a value is one of several words."""
     if not isinstance(value, str) or value not in choices:
         raise InputError(f"{name} must be one of {', '.join(choices)}, found {shown(value)}.")

@@ -69,10 +69,9 @@ def dense(matrix: Matrix) -> Array:
 
 
 def real(value: Any) -> float | None:
-    """Convert a real number of any type to float; return None if the value is not a real number.
+    """Convert a real number of any type to float; return None for other values.
 
-    Scalars of numpy, fractions and zero-dimensional arrays, such as the value of a `fem.Constant`,
-    are numbers; bools are not.
+    Zero-dimensional arrays, such as the value of a `fem.Constant`, are numbers; bools are not.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
@@ -91,10 +90,7 @@ def integer(value: Any) -> int | None:
 
 
 def splitmix64(x: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Scramble the bits of 64-bit integers (n,), one to one. Not collective.
-
-    This is the output function of SplitMix64 (Steele, Lea and Flood 2014).
-    """
+    """Scramble the bits of integers (n,), one to one: SplitMix64 (Steele, Lea and Flood 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return np.asarray(x ^ (x >> np.uint64(31)))

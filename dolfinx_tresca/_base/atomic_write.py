@@ -24,15 +24,11 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; after the block, move the written files to `path`.
+    """Yield a path in a new folder to write to; then move all files there to the folder of `path`.
 
-    The temporary path has the same name, in a new folder beside `path`. At the end of the block,
-    all files in the new folder are moved to the folder of `path`; after an exception, no file is
-    moved. So files are always complete, and a run that fails keeps the files of earlier runs. The
-    block writes a file or a folder, and maybe further files beside it. Not collective.
-
-    Raises:
-        InputError: files cannot be written to the folder of `path`.
+    Nothing is moved after an exception: files are always complete, and a run that fails keeps those
+    of earlier runs. The block writes a file or a folder, and maybe others beside it. Not
+    collective.
     """
     with file_named_in_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -24,9 +24,8 @@ from dolfinx_tresca._base.parallel import exchange, gather_rows, reduce_array
 def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     """Return the body, 0, 1, ..., of each node of V on this rank, ghosts included. Collective.
 
-    Nodes of one cell are in one body. The numbers are the same for any number of ranks: bodies are
-    sorted by their least x, then y, then z, then by their largest x, y and z, and finally by their
-    order in the mesh file. Coordinates that differ by rounding count as equal.
+    On any number of ranks, bodies are sorted by their least x, then y, then z, then by their
+    largest x, y and z, up to rounding, and finally by their order in the mesh file.
     """
     mesh, nodes, cells = V.mesh, V.dofmap.index_map, V.dofmap.list
     comm, count = mesh.comm, nodes.size_local + nodes.num_ghosts
@@ -65,9 +64,9 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
 def labels_of(
     V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return the labels (n,) of nodes of any rank, by ascending global numbers (n,). Collective.
+    """Return the labels (n,) of nodes by ascending global numbers, from those of owned nodes.
 
-    `label` (owned nodes of V,) are the labels of this rank's nodes.
+    Collective.
     """
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
@@ -90,7 +89,6 @@ class Bodies:
     """The bodies of a mesh.
 
     Attributes:
-        number: number of bodies.
         tag_names: for each body the name of the tag that all its cells have; "" if there is none.
         label: (owned nodes of V,) the body of each node, in 0, ..., number - 1.
         bounds: (number, 6) bounding box of each body: least x, y, z, then largest [length].
@@ -116,34 +114,25 @@ class Bodies:
         label = label[: V.dofmap.index_map.size_local]
         centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
         size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
-        points = V.tabulate_dof_coordinates()[: len(label)]
         # scaled coordinates, for rotations of each body
-        arm = (points - centre[label]) / size[label, None]
+        arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / size[label, None]
         nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=number))
         return cls(int(number), tag_names, label, bounds, nodes, arm)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Unique names: the name of the tag, with the body's number if bodies share the tag.
-
-        A body without a tag name is named by its number.
-        """
+        """Unique names: that of the tag, the number without a tag, or both if bodies share it."""
         count = Counter(self.tag_names)
         return tuple(
             name if name and count[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
             for k, name in enumerate(self.tag_names, start=1)
         )
 
-    @property
-    def mean_nodes(self) -> float:
-        """The mean number of nodes per body, weighted by this number: large bodies decide."""
-        return float(self.nodes @ self.nodes / self.nodes.sum())
-
     def rigid_modes(self, dim: int) -> csr_array:
         """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
 
-        The translations along the axes and then the rotations about the centre of each body have
-        the order in which `RigidBodyModes.describe` names them.
+        Translations come first, then rotations about the centre, as `RigidBodyModes.describe` has
+        them.
         """
         translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
         rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
@@ -154,10 +143,7 @@ class Bodies:
         return csr_array((modes[mode, node, component], entries), shape=shape)
 
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
-        """Return the number, the name and the bounding box of a body, in words.
-
-        The names of its companions, bodies that move together with it, follow.
-        """
+        """Return number, name and box of a body, and the names of its companions, in words."""
         box = self.bounds[index]
         size = float(np.linalg.norm(box[3:] - box[:3]))
         tags = [f" ({name})" if name else "" for name in self.tag_names]
@@ -173,10 +159,7 @@ class Bodies:
 
 
 def _tag_names(V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: Any) -> tuple[str, ...]:
-    """Return for each body the name of the tag that all its cells have, else "". Collective.
-
-    `body` (nodes of V,) has the body of each node on this rank, with ghosts.
-    """
+    """Return for each body the name of the tag that all its cells have, else "". Collective."""
     if cell_tags is None:
         return ("",) * number
     body_of_cell = body[V.dofmap.list[:, 0]]

@@ -23,11 +23,7 @@ except ImportError:
 
 
 def require_real_petsc() -> None:
-    """Check that PETSc was built with real scalars.
-
-    Raises:
-        ContactError: PETSc was built with complex scalars.
-    """
+    """Check that PETSc was built with real scalars."""
     if np.issubdtype(PETSc.ScalarType, np.complexfloating):
         raise ContactError(
             f"contact needs PETSc with real scalars, found {np.dtype(PETSc.ScalarType)}. "
@@ -53,14 +49,10 @@ except TypeError:
 
 
 def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -> Any:
-    """Distribute cells over the ranks and return the mesh. Collective.
+    """Distribute cells over the ranks, with or without ghosts, and return the mesh. Collective.
 
-    Args:
-        comm: the communicator.
-        cells: (n, k) geometry nodes of the cells that this rank contributes.
-        x: coordinates of the geometry nodes that this rank contributes [length].
-        domain: coordinate element of the mesh.
-        ghosts: whether each rank also gets the cells that share a facet with its own cells.
+    The cells (n, k) and coordinates are those that this rank contributes, the domain is the
+    coordinate element.
     """
     mode = dolfinx.mesh.GhostMode.shared_facet if ghosts else dolfinx.mesh.GhostMode.none
     partitioner = dolfinx.mesh.create_cell_partitioner(mode, *_CELLS_AT_FACET)
@@ -74,10 +66,7 @@ EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
 def create_submesh(
     mesh: Any, dim: int, entities: LocalNumbers
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
-    """Return the submesh of `entities`, its geometry nodes' numbers in `mesh`, and entity maps.
-
-    Forms on the parent mesh that contain Functions on the submesh need these entity maps.
-    """
+    """Return a submesh, its geometry nodes' numbers in the mesh, and entity maps for forms."""
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     if not isinstance(cells, np.ndarray):
         return submesh, nodes, [cells]
@@ -88,7 +77,7 @@ def create_submesh(
 
 
 def owned_dofs(bc: Any, owned: int) -> Any:
-    """Return which of a rank's `owned` degrees of freedom a condition prescribes. Not collective.
+    """Return which of a rank's owned degrees of freedom a condition prescribes. Not collective.
 
     DOLFINx 0.9 counts some ghosts among the owned ones on blocked spaces.
     """

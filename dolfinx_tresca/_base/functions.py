@@ -18,10 +18,10 @@ from dolfinx_tresca._base.compat import EntityMaps, geometry_dofmap
 def zero_like(
     function: fem.Function, name: str, kind: type[fem.Function] = fem.Function
 ) -> fem.Function:
-    """Return a Function of zeros, of a given kind, on the space of another one. Not collective.
+    """Return a Function of zeros on the space of another one. Not collective.
 
-    On several ranks a new Function takes two MPI communicators as long as it lives, and MPICH has
-    2,048 of them. A copy shares those of its original.
+    On several ranks a new Function takes two MPI communicators, of which MPICH has 2,048; a copy
+    shares those of its original.
     """
     result = kind(function.function_space, function.copy().x, name=name)
     result.x.array[:] = 0.0
@@ -43,11 +43,7 @@ def with_owned_values(V: Any, values: Array, name: str | None = None) -> fem.Fun
 
 
 def assembled(form: ufl.Form, space: Any, entity_maps: EntityMaps | None = None) -> fem.Function:
-    """Assemble a linear form into a Function whose ghost values are up to date. Collective.
-
-    The space is that of the test function; entity maps belong to Functions on other meshes in the
-    form.
-    """
+    """Assemble a linear form into a Function on the space of its test function. Collective."""
     result = fem.Function(space)
     fem.assemble_vector(result.x.array, fem.form(form, entity_maps=entity_maps))
     result.x.scatter_reverse(dolfinx.la.InsertMode.add)
@@ -61,11 +57,7 @@ def entities_per_cell(V: Any, dim: int) -> int:
 
 
 def nodes_of_vertices(V: Any) -> LocalNumbers:
-    """Return for each geometry node at a vertex the node of V at this vertex. Not collective.
-
-    V is a Lagrange space. The result (geometry nodes,) is zero for geometry nodes of curved meshes
-    that are not at vertices.
-    """
+    """Return for each geometry node at a vertex the node of V there, and 0 for others."""
     vertices = entities_per_cell(V, 0)
     nodes = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)
     nodes[geometry_dofmap(V.mesh)[:, :vertices]] = V.dofmap.list[:, :vertices]
@@ -73,10 +65,9 @@ def nodes_of_vertices(V: Any) -> LocalNumbers:
 
 
 def numbers_in_file(V: Any) -> GlobalNumbers:
-    """Return for each node of V the number of its vertex in the mesh file. Not collective.
+    """Return for each node of V the number of its vertex in the mesh file, 0 between vertices.
 
     If the mesh was not refined, the numbers depend neither on the degree of V nor on the partition.
-    Nodes that are not at vertices have the number 0.
     """
     index_map, vertices = V.dofmap.index_map, entities_per_cell(V, 0)
     numbers = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)

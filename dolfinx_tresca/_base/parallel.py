@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, issparse, vstack
 import dolfinx.la
 from dolfinx import common
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
 from dolfinx_tresca.errors import InputError, shown
 
 #: A space at which lines are not broken, such as a space between the components of a vector.
@@ -53,10 +53,7 @@ _logged_warnings: list[set[tuple[str, str]]] = []
 
 @contextmanager
 def each_warning_once() -> Iterator[None]:
-    """Log each warning of the enclosed block only once, whatever numbers the message contains.
-
-    This context manager serves functions that solve one problem on many meshes. Not collective.
-    """
+    """Log each warning of the block only once, whatever numbers it contains. Not collective."""
     _logged_warnings.append(set())
     try:
         yield
@@ -67,10 +64,9 @@ def each_warning_once() -> Iterator[None]:
 def log(
     comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO, about: str = ""
 ) -> None:
-    """Log a message on the first rank, broken into lines. Not collective.
+    """Log a message with % placeholders on the first rank. Not collective.
 
-    The message has % placeholders for `args`. `each_warning_once` logs the same warning once for
-    each subject that it is `about`, such as a pair.
+    `each_warning_once` logs a warning once for each subject that it is `about`, such as a pair.
     """
     if comm.rank > 0:
         return
@@ -91,17 +87,12 @@ def warn(comm: MPI.Comm, message: str, *args: object, about: str = "") -> None:
 
 @contextmanager
 def errors_on_all_ranks(comm: MPI.Comm) -> Iterator[None]:
-    """Raise on every rank an exception that the enclosed block raised on any rank.
+    """Raise on every rank an exception that the enclosed block raised on any rank. Collective.
 
-    Without this, the remaining ranks would wait for ever in their next collective call. The block
-    itself must not communicate, since a rank that has raised takes no part in communication. It may
-    call collective functions of this package: their exceptions are raised on all ranks already, and
-    pass. Collective: all ranks enter and leave together.
-
-    Raises:
-        BaseException: the rank's own exception, `KeyboardInterrupt` and `SystemExit` included; on a
-            rank without an exception, the exception of the lowest rank that failed, or a
-            RuntimeError with the message of this exception if it cannot be pickled.
+    Without this, the other ranks would wait for ever in their next collective call. The block
+    itself must not communicate. It may call collective functions of this package: their exceptions
+    are raised on all ranks already, and pass. `KeyboardInterrupt` and `SystemExit` count, too. A
+    rank without an exception gets that of the lowest rank that failed, see `picklable`.
     """
     error: BaseException | None = None
     try:
@@ -124,10 +115,7 @@ def mark_raised_on_all_ranks(error: BaseException) -> BaseException:
 
 
 def picklable(error: BaseException | None) -> BaseException | None:
-    """Return an exception if it can be pickled, else a RuntimeError with its message.
-
-    Pickle fails for local classes and for exceptions whose arguments are not their message.
-    """
+    """Return an exception, or a RuntimeError with its message if it cannot be pickled."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
@@ -143,8 +131,7 @@ def gather_rows(comm: MPI.Comm, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) -> npt.NDArray[Any]:
     """Reduce an array elementwise over all ranks and return the result on every rank. Collective.
 
-    The first rank reduces and broadcasts, so that all ranks get the same bits and decide alike:
-    `Allreduce` may add in a different order on each rank.
+    All ranks get the same bits and decide alike: `Allreduce` may add in another order on each rank.
     """
     array = np.asarray(values, order="C")
     result = np.empty_like(array)
@@ -161,10 +148,7 @@ def largest_sizes(comm: MPI.Comm, *arrays: npt.ArrayLike) -> list[float]:
 
 @dataclass(frozen=True)
 class RankReductions:
-    """Reductions over the ranks for distributed vectors, with `size` entries on this rank.
-
-    All methods are collective.
-    """
+    """Collective reductions for distributed vectors, with `size` entries on this rank."""
 
     comm: MPI.Comm
 
@@ -173,10 +157,7 @@ class RankReductions:
         return reduce_array(self.comm, x)
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
-        """Return x'y, summed over all ranks, for x and y (size,) or (size, k). Collective.
-
-        Both x and y may be sparse.
-        """
+        """Return x'y of dense or sparse x, y (size,) or (size, k), of all ranks. Collective."""
         product: Any = x.T @ y
         return reduce_array(self.comm, product.toarray() if issparse(product) else product)
 
@@ -202,18 +183,10 @@ _exchange_logger = logging.getLogger("dolfinx_tresca.exchange")
 def exchange(
     comm: MPI.Comm, rows: npt.NDArray[Any], ranks: Indices
 ) -> tuple[npt.NDArray[Any], Indices]:
-    """Send each row to a rank and return the rows received from all ranks. Collective.
+    """Send each row to a rank; return the rows received, and the rank of each. Collective.
 
-    Each rank logs, at level DEBUG, how many bytes it sends to how many ranks.
-
-    Args:
-        comm: the communicator.
-        rows: (n, ...) rows of any data type, which is equal on all ranks.
-        ranks: (n,) the rank to which each row goes.
-
-    Returns:
-        The received rows (m, ...), in the order of the sending ranks and of each sender's rows, and
-        the rank (m,) from which each row comes.
+    The received rows (m, ...) have the order of the sending ranks and of each sender's rows (n,
+    ...). Each rank logs, at level DEBUG, how many bytes it sends to how many ranks.
     """
     if comm.size == 1:
         return rows, np.asarray(ranks, dtype=np.intp)
@@ -224,11 +197,8 @@ def exchange(
     return np.concatenate(received), np.repeat(np.arange(comm.size), list(map(len, received)))
 
 
-def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
-    """Return sums (nodes, k) of values (..., k) at nodes (...) of all ranks. Collective.
-
-    The index map has the nodes of this rank, ghosts included; each may occur any number of times.
-    """
+def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array) -> Array:
+    """Return sums (nodes, k) of values (..., k) at local nodes (...) of all ranks. Collective."""
     vector = dolfinx.la.vector(index_map, values.shape[-1])
     vector.array[:] = 0.0
     np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
@@ -238,10 +208,7 @@ def summed_at_nodes(index_map: Any, nodes: Indices, values: Array) -> Array:
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
-    """Return the row (k,) with the least key among the rows of all ranks. Collective.
-
-    There are keys (n,) and rows (n, k); the result is None if no rank has a row.
-    """
+    """Return the row with the least key of all ranks; None if no rank has rows. Collective."""
     mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
     candidates = [candidate for candidate in comm.allgather(mine) if candidate is not None]
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
@@ -255,11 +222,8 @@ def agreed_observer(
 ) -> Callable[[_T], bool]:
     """Return an observer whose answer, or exception, is the same on all ranks. Collective.
 
-    Calls of the returned observer are collective. It returns True if the observer of any rank
-    returns True. Error messages name the type of the observer's argument.
-
-    Raises:
-        InputError: the observer of a rank is not callable.
+    Its calls are collective, and return True if the observer of any rank returns True. Error
+    messages name the type of the observer's argument.
     """
     with errors_on_all_ranks(comm):
         if observer is not None and not callable(observer):
@@ -282,9 +246,3 @@ def timed(name: str, timings: dict[str, float]) -> Iterator[None]:
     with common.Timer(f"~dolfinx_tresca: {name}"):
         yield
     timings[name] = timings.get(name, 0.0) + time.perf_counter() - start
-
-
-def largest_over_ranks(comm: MPI.Comm, timings: dict[str, float]) -> dict[str, float]:
-    """Return the largest time of each phase over all ranks [s]. Collective."""
-    values = reduce_array(comm, list(timings.values()), MPI.MAX)
-    return dict(zip(timings, values.tolist(), strict=True))

@@ -22,12 +22,8 @@ class PetscOwner(ABC):
     """Base class of PETSc owners: `destroy()`, or the end of a `with` block, frees the objects.
 
     A `ContactError` is raised on all ranks together, so the objects are freed after it, too. After
-    any other exception on several ranks, the objects are left to petsc4py: freeing them is
-    collective, and would wait for ranks that may not have raised the exception, which would never
-    be shown.
-
-    Attributes:
-        comm: the communicator of the objects.
+    any other exception on several ranks, the objects are left to petsc4py: freeing them would wait
+    for ranks that may not have raised the exception, which would never be shown.
     """
 
     comm: Any
@@ -47,10 +43,8 @@ class PetscOwner(ABC):
 def free_unused(comm: MPI.Comm) -> None:
     """Free those PETSc objects on a communicator that no rank uses any more. Collective.
 
-    On one rank, petsc4py frees an object as soon as Python drops it. On several ranks, freeing is
-    collective, but the ranks drop objects at different times: petsc4py keeps them until this call.
-    For objects on a mesh the communicator is `mesh.comm`, a duplicate of that which the mesh was
-    made with.
+    On several ranks petsc4py keeps objects that Python has dropped until this call. For objects on
+    a mesh the communicator is `mesh.comm`.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
@@ -67,12 +61,11 @@ _REFERENCE = MPI.Comm.Create_keyval(
 
 
 def keep_inner_communicator(comm: MPI.Comm) -> None:
-    """Keep the communicator that PETSc makes for that of an index map as long as the latter exists.
+    """Keep PETSc's duplicate of an index map's communicator as long as the latter. Collective.
 
-    PETSc duplicates a communicator for its first object on it, and frees the duplicate after the
-    last one. The vectors of Functions are freed by each rank on its own: if an exception keeps them
-    on one rank, the next vector would be the first one on the other ranks, which would wait for
-    ever. Collective.
+    PETSc frees a duplicate after its last object, and each rank frees vectors on its own: if an
+    exception keeps them on one rank, the next vector would be the first one on the other ranks,
+    which would wait for ever.
     """
     if comm.size > 1 and comm.Get_attr(_REFERENCE) is None:
         # a copy of the handle, since DOLFINx keeps the index map as long as its own object exists
@@ -90,12 +83,10 @@ def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
 
 
 def sparse_matrix(rows: csr_array, columns: tuple[int, int], comm: Any) -> PETSc.Mat:
-    """Return a sparse PETSc matrix, which the caller owns. Collective.
+    """Return a sparse PETSc matrix from this rank's rows, which the caller owns. Collective.
 
-    Args:
-        rows: (rows of this rank, all columns), with global column numbers.
-        columns: number of columns of this rank, and of all ranks.
-        comm: the communicator.
+    The rows have global column numbers; `columns` are the numbers of this rank's and of all
+    columns.
     """
     pattern = (array.astype(PETSc.IntType) for array in (rows.indptr, rows.indices))
     sizes = ((rows.shape[0], None), columns)
@@ -114,12 +105,10 @@ def dense_matrix(rows: Array, comm: Any) -> PETSc.Mat:
 
 
 def product(matrix: PETSc.Mat, columns: csr_array) -> csr_array:
-    """Return this rank's rows of the product of a PETSc matrix and sparse columns. Collective.
+    """Return this rank's rows of a PETSc matrix (m, n) times sparse columns (n, k). Collective.
 
-    The matrix has (rows of this rank, n), `columns` (rows of this rank, k) all columns of the
-    second.
+    `columns` has as many rows of this rank as the matrix has columns there.
     """
     comm, k = matrix.comm, columns.shape[1]
-    right = sparse_matrix(columns, (k if comm.rank == 0 else 0, k), comm)
-    result = matrix.matMult(right)
+    result = matrix.matMult(sparse_matrix(columns, (k if comm.rank == 0 else 0, k), comm))
     return csr_array(result.getValuesCSR()[::-1], shape=(result.getLocalSize()[0], k))

@@ -1,10 +1,11 @@
-"""The discretised contact problem: one solve, and the record of the last solve."""
+"""The discretised contact problem: surfaces as they are paired now, their operators, one solve."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import compress
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -13,35 +14,51 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask, real
+from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import (
-    errors_on_all_ranks,
-    largest_over_ranks,
-    largest_sizes,
-    log,
-    timed,
-    warn,
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, log, timed, warn
+from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unused
+from dolfinx_tresca.contact.obstacles import Obstacles
+from dolfinx_tresca.contact.step_state import StepSolution, StepState
+from dolfinx_tresca.dual.jump import JumpOperator
+from dolfinx_tresca.dual.load_steps import SlipHistory, moved_jump
+from dolfinx_tresca.dual.products import ContactCompliance
+from dolfinx_tresca.dual.program import DualProgram, InitialGuess
+from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
+from dolfinx_tresca.errors import (
+    ContactError,
+    InputError,
+    MechanismError,
+    PairingError,
+    StiffnessError,
 )
-from dolfinx_tresca._base.petsc import free_unused
-from dolfinx_tresca._base.tolerances import SLACK
-from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
-from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.dual.program import DualProgram
-from dolfinx_tresca.errors import ContactError, InputError, MechanismError
+from dolfinx_tresca.floating.rigid_modes import (
+    RigidBodyModes,
+    fixing_springs,
+    weakly_resisted_modes,
+)
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.output.report import ProblemSummary
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_group
+from dolfinx_tresca.pairing.undeformed import groups_of
 from dolfinx_tresca.result import ContactSolution
-from dolfinx_tresca.scene.friction import Preload
+from dolfinx_tresca.scene.friction import Frictionless
 from dolfinx_tresca.scene.obstacle import RigidMotion
+from dolfinx_tresca.scene.pair import ContactPair, check_tags
 from dolfinx_tresca.solution import scene_checks
-from dolfinx_tresca.solution.evaluation import Evaluation, evaluate
-from dolfinx_tresca.solvers.convergence import BALANCED
+from dolfinx_tresca.solution.evaluation import evaluate, status_of_fields
+from dolfinx_tresca.solution.fields import Surface
 from dolfinx_tresca.solvers.feasible_set import CurveAtNodes, FrictionCones, pressed_values
 from dolfinx_tresca.solvers.iteration import solve
 from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
-from dolfinx_tresca.stiffness.choice import one_thread
+from dolfinx_tresca.stiffness.choice import SolverRequest, one_thread, warn_of_slow_blas
+from dolfinx_tresca.stiffness.frames import BodyFrames
+from dolfinx_tresca.stiffness.solver import cholesky, multigrid
+from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Row, Units
 
 #: Statuses with which a solution may have left linear theory. Where a body slides without end,
@@ -50,12 +67,333 @@ CHECKED = (ContactStatus.CONVERGED, ContactStatus.NO_FIXED_POINT, ContactStatus.
 Solution = TypeVar("Solution", bound=ContactSolution)
 
 
-class ContactSystem(ContactSurfaces):
-    """A discretised contact problem: K, the contact surfaces, and their solves.
+class ContactSystem(PetscOwner):
+    """A discretised contact problem: K, B on the surfaces as they are paired now, and their solves.
 
-    A linear problem uses one such system for all solves. Newton's method for nonlinear bodies also
-    uses one; its K is the present tangent.
+    A problem uses one such system for all its solves. For nonlinear bodies K is the present
+    tangent. Springs are added to K that fix the bodies that K holds only weakly, and the sum is
+    factored. Where surfaces are paired again, B and A are replaced, and tractions and slip are
+    carried over.
+
+    Attributes:
+        secondary: the secondary side of each pair.
+        reason: why this solver for K was chosen, as text.
+        slides_far: whether at least one pair has finite sliding.
+        friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
+            nodes of the displacement.
+        guess: displacements of earlier solves with the present B, for first guesses of iterative
+            solves.
+        unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
+            solves start and end, owned by the user; None for linear bodies.
+        frames_at_rest: frames of undeformed linear bodies, which move in configurations of finite
+            sliding; None: no body has a frame.
+        timings: phase -> seconds of pairing and factoring since the last solve.
     """
+
+    def __init__(
+        self, linear: LinearSystem, pairs: list[ContactPair], request: SolverRequest
+    ) -> None:
+        """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective."""
+        free_unused(linear.comm)  # objects of earlier problems that were not destroyed
+        self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
+        self._noticed: set[scene_checks.Limit] = set()  # to which solutions have come near
+        self._petsc_options, self._prefix = request.petsc_options or {}, request.prefix
+        if linear.comm.rank == 0:
+            warn_of_slow_blas()
+        check_tags(pairs, linear.V.mesh)
+        cell_tags = (pair.cell_tags for pair in pairs if pair.cell_tags is not None)
+        self.bodies = Bodies.from_space(linear.V, next(cell_tags, None))
+        dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
+        nodes = self.bodies.nodes
+        size = dim * float(nodes @ nodes / nodes.sum())  # of each node's body: large ones decide
+        self.method, self.reason = request.choose(size, dim, linear.comm, saddle=is_saddle)
+        self._modes: RigidBodyModes | None = None
+        self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
+        self.slides_far = bool(self._finite_sliding.any())
+        # the slip bound of a pair depends on the pressure, unless its coefficient is zero
+        coefficients = [real(pair.friction.terms.coefficient) for pair in pairs]
+        self._depends_on_start = any(coefficient != 0.0 for coefficient in coefficients)
+        self.unknowns: fem.Function | None = None
+        self.obstacles = Obstacles(linear.V, pairs)
+        self.timings: dict[str, float] = {}
+        V, prescribed = linear.V, linear.prescribed_displacements
+        with timed("pairing", self.timings):
+            operators_of_number: dict[int, PairOperators] = {}
+            for group in groups_of(V, pairs):
+                paired = pair_group(V, prescribed, group, axisymmetric=linear.axisymmetric)
+                operators_of_number.update(zip(group.numbers, paired, strict=True))
+            operators = [operators_of_number[k] for k in range(len(pairs))]
+            self.secondary = Surface.of_pairs(fem.Function(V), pairs)
+            self.friction = SlipBounds(V)
+        self.jump = JumpOperator(linear, operators)
+        with destroyed_on_error(self.jump):
+            self.update_gaps()
+            self.summary = ProblemSummary.from_system(linear, pairs, self.jump)
+            self.guess = InitialGuess(np.zeros(len(linear.prescribed)))
+            self.obstacles.note_pairing(self.jump)
+            self._state = StepState.undeformed(self.jump, self.obstacles.motions)
+            self.compliance = self._factored()
+            with destroyed_on_error(self.compliance):
+                rounding = self.compliance.stress_rounding
+                for pair, on_nodes in zip(pairs, operators, strict=True):
+                    self.friction.check(pair.friction, on_nodes.nodes, rounding)
+        self.frames_at_rest = BodyFrames.at_rest(linear, self.bodies, pairs)
+        scene_checks.hint_at_scene(linear.V, pairs, self.jump.pairs, self.bodies)
+
+    def _factored(self) -> ContactCompliance:
+        """Assemble K, find the rigid modes that it resists weakly, and return A. Collective.
+
+        With a mixed space, the modes are found in the first call only: later, pressures make the
+        block of displacements indefinite even for stable bodies, and signs of pivots tell whether
+        they are held.
+        """
+        linear = self.linear
+        with timed("stiffness", self.timings):
+            linear.assemble_stiffness()
+            if self._modes is None or linear.component is None:
+                self._modes = weakly_resisted_modes(linear, self.bodies)
+        springs = fixing_springs(self._modes, linear)
+        with timed(self.method, self.timings):
+            K = springs.added_to(linear.K) if springs else linear.K
+            if self.method == "cholesky":
+                solver = cholesky(K, self._petsc_options, self._prefix, linear.saddle_size)
+            else:
+                prescribed = linear.prescribed
+                solver = multigrid(K, linear.V, prescribed, self._petsc_options, self._prefix)
+            # for a saddle point, this factors another matrix
+            return ContactCompliance(self.jump, solver, springs)
+
+    @property
+    def bodies_found(self) -> str:
+        """The number of bodies and of the rigid motions that K resists weakly, as text."""
+        return f"{self.bodies.number}{'' if self._modes is None else self._modes.summary}"
+
+    def check_suits(self, options: SolverOptions) -> None:
+        """Check that options suit the bodies and the form. Not collective."""
+        linear = self.linear
+        if options.balanced and not linear.form_of_displacement:
+            reason = "a is none" if linear.form is None else "a is on a mixed space"
+            raise InputError(
+                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
+                f"is estimated with a form of UFL of the displacement, and {reason}. Give "
+                "solve(accuracy=1e-3), or a rtol."
+            )
+        if options.method != "projected_newton" and self._modes:
+            raise InputError(
+                f"method={options.method!r} needs bodies that are held by supports, but found "
+                f"{self.bodies_found}. Take method='projected_newton'."
+            )
+
+    def destroy(self) -> None:
+        """Free the PETSc objects. Collective."""
+        self._destroyed = True
+        for owner in (self.compliance, self.jump, self.linear):
+            owner.destroy()
+        free_unused(self.comm)
+
+    def check_not_destroyed(self) -> None:
+        """Check that the PETSc objects exist. Not collective."""
+        if self._destroyed:
+            raise ContactError("the problem was destroyed: create a new one.")
+
+    def slip_bounds(self) -> list[NodalBounds]:
+        """Return the present slip bounds at each pair's nodes. Collective."""
+        rounding = self.compliance.stress_rounding
+        return [
+            self.friction.nodal_bounds(pair.friction, operators.nodes, rounding)
+            for pair, operators in zip(self.pairs, self.jump.pairs, strict=True)
+        ]
+
+    def added_gaps(self) -> list[Array]:
+        """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective."""
+        gaps = []
+        for pair, on_nodes in zip(self.pairs, self.jump.pairs, strict=True):
+            gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
+            gaps.append(self.friction.values.scalars_at(gap, on_nodes.nodes, name))
+        motions = self.obstacles.motions
+        for number, (_, axis) in self.obstacles.bolts(self.jump).items():
+            gaps[number] += float(axis @ motions[number][:, 3])
+        return gaps
+
+    def update_gaps(self) -> None:
+        """Evaluate the gaps that users add to the distances, and update B's gap. Collective."""
+        gaps = self.added_gaps()
+        with errors_on_all_ranks(self.comm):
+            for pair, gap in zip(self.pairs, gaps, strict=True):
+                if not np.isfinite(gap).all():
+                    raise InputError(
+                        f"the gap of contact pair {pair} has values that are NaN or infinite. For "
+                        "surfaces that cannot touch give no pair."
+                    )
+        operators = zip(self.jump.pairs, gaps, strict=True)
+        self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
+
+    def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
+        """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective."""
+        jump = self.jump.along_axes(bounds)
+        if jump is not self.jump:
+            self._state = self._state.along_tangents(jump)
+            self._replace_jump(jump)
+
+    @property
+    def solved(self) -> StepSolution | None:
+        """The last solution; None if there was none since K or the pairing changed."""
+        solution = self._state.solution
+        valid = solution is not None and solution.dual.compliance is self.compliance
+        return solution if valid else None
+
+    @property
+    def state(self) -> StepState:
+        """The present state of the process. Not collective."""
+        if self.unknowns is None:
+            return self._state
+        return replace(self._state, unknowns=self.unknowns.x.array.copy())
+
+    @state.setter
+    def state(self, state: StepState) -> None:
+        """Continue from a state on the present B. Not collective."""
+        self._state = state
+        if self.unknowns is not None and state.unknowns is not None:
+            self.unknowns.x.array[:] = state.unknowns
+
+    def return_to(self, state: StepState) -> None:
+        """Return to a former state; K and the user's obstacles stay as they are. Collective."""
+        self.state = state
+        if state.jump is not self.jump:
+            moved_to = self.obstacles.motions
+            self.obstacles.place(state.motions)
+            jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
+            self._state = replace(state, jump=jump)
+            self._replace_jump(jump)
+            self.obstacles.place(moved_to)
+
+    def begin_solve(self) -> None:
+        """Pair where obstacles have moved, and go to where the next solve starts. Collective."""
+        self.pair_where_changed(self._state.accepted.configuration)
+        self.state = self.start
+
+    @property
+    def start(self) -> StepState:
+        """The state from which the next solve begins with the present pairing. Collective."""
+        return self.state.at_start(self._depends_on_start)
+
+    def pair_where_changed(
+        self, configuration: fem.Function | None = None, geometry: fem.Function | None = None
+    ) -> None:
+        """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
+
+        Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
+        stands for the present one. After a `PairingError` the surfaces stay as they were.
+        """
+        state, moved, finite = self.state, self.note_obstacles(), self._finite_sliding
+        configuration = state.configuration if configuration is None else configuration
+        geometry = state.geometry if geometry is None else geometry
+        try:
+            for before, u, pairs in (
+                (state.geometry, geometry, ~finite),
+                (state.configuration, configuration, finite),
+            ):
+                differs = not (u is before or np.array_equal(u.x.array, before.x.array))
+                on_some_rank = self.comm.allreduce(differs, op=MPI.LOR)
+                self._pair_anew(u, pairs & (moved | on_some_rank))
+        except PairingError:
+            self.return_to(state)
+            raise
+        self._state = replace(self._state, configuration=configuration, geometry=geometry)
+
+    def note_obstacles(self) -> Mask:
+        """Record the places of obstacles; return (pairs,) whether distances have changed.
+
+        A warning is logged for obstacles with friction that have changed without `move_to`, since
+        the slip does not contain such a change, unless they depend on Constants. Collective.
+        """
+        changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
+        same_place = (self._state.motions == motions).all(axis=(1, 2))
+        self._state = replace(self._state, motions=motions)
+        for pair in compress(self.pairs, changed & same_place):
+            fixed = pair.obstacle is not None and not pair.obstacle.constants
+            if fixed and not isinstance(pair.friction, Frictionless):
+                warn(
+                    self.comm,
+                    "contact pair %s: the distance from the obstacle has changed in a way that is "
+                    "not part of the slip. With friction move the obstacle by its move_to().",
+                    pair,
+                )
+        return changed
+
+    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
+        """Pair those surfaces again, in the configuration displaced by u, for which `anew` is True.
+
+        With finite sliding, the slip of a node becomes its displacement since the last accepted
+        step, relative to its present partner and projected onto its tangent plane. Collective.
+        """
+        if not anew.any():
+            return
+        for pair in self.jump.pairs:  # pairs of a group are paired together
+            numbers = list(pair.undeformed.group.numbers)
+            anew[numbers] = anew[numbers].any()
+        with timed("pairing", self.timings):
+            since_accepted = self._finite_sliding & anew
+            frames = self.jump.frames
+            if since_accepted.any() and self.frames_at_rest is not None:
+                frames = self.frames_at_rest.moved_with(u)
+            jump = moved_jump(self.jump, self.pairs, u, anew, frames)
+            self._state = self._state.paired_at(jump, u, since_accepted)
+            self._replace_jump(jump)
+
+    def _replace_jump(self, jump: JumpOperator) -> None:
+        """Replace B after a new pairing, and drop what depends on the old B. Collective."""
+        before, self.jump = self.jump, jump
+        self.linear.frames = jump.frames
+        self.guess.newest = None
+        self.compliance = self.compliance.on(jump)
+        self.obstacles.note_pairing(jump)
+        self.summary = ProblemSummary.from_system(self.linear, self.pairs, jump)
+        before.destroy()
+
+    def history_of_solve(self) -> SlipHistory:
+        """Return the slip history whose origin moves with the obstacles. Collective."""
+        state = self._state
+        jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
+        for normal, _ in self.jump.slices:
+            jumps[normal] = 0.0
+        return replace(state.history, origin=state.history.origin + jumps)
+
+    def gaps_at_nodes(self, u: fem.Function) -> Array:
+        """Return the gaps (pairs, owned nodes) [length], NaN without multipliers. Collective."""
+        jump = self.jump
+        return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
+
+    def normal_forces_at_nodes(self) -> Array:
+        """Return normal contact forces (pairs, owned nodes), to be compared, 0 at open nodes."""
+        return self._at_nodes(self._state.multipliers / self.jump.stress_scale**2, 0.0)
+
+    def _at_nodes(self, values: Array, default: float) -> Array:
+        """Return the values (pairs, owned nodes) of normal rows, from those (size,) of B's rows."""
+        result = np.full((len(self.pairs), self.linear.V.dofmap.index_map.size_local), default)
+        for of_pair, pair, (n, _) in zip(result, self.jump.pairs, self.jump.slices, strict=True):
+            of_pair[pair.nodes[pair.normal_node]] = values[n]
+        return result
+
+    def contact_forces(self, multipliers: Array | None = None) -> Array:
+        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
+        multipliers = self._state.multipliers if multipliers is None else multipliers
+        return np.array(self.jump.contact_force(multipliers).array)
+
+    def update_stiffness(self) -> None:
+        """Assemble and factor K again. Collective."""
+        self.compliance.destroy()
+        self.compliance = self._factored()
+        frames = BodyFrames.at_rest(self.linear, self.bodies, self.pairs)
+        if self.jump.frames is not None and (
+            frames is None or (frames.has_frame != self.jump.frames.has_frame).any()
+        ):
+            raise StiffnessError(
+                "bodies have turned in their frames, and the new K resists the rigid motions of "
+                "one of them, as springs do that refer to a place in space. Have such springs in a "
+                "from the start: the body then has no frame."
+            )
+        self.frames_at_rest = frames
 
     def solution_for(self, purpose: str) -> StepSolution:
         """Return the last solution; errors name the purpose that needs it. Not collective."""
@@ -89,26 +427,10 @@ class ContactSystem(ContactSurfaces):
             return result + [pressed_values(*curve) for curve in curves]
 
     def advance_material(self, solution: StepSolution) -> None:
-        """Advance the history of the material, if it has one, to a solution. Collective.
-
-        If that fails, the step is not accepted.
-        """
-
-    def check_no_tools(self, purpose: str) -> None:
-        """Check that neither obstacles nor bolts have given forces. Not collective."""
-        for pair in self.pairs:
-            given = pair.obstacle is not None and pair.obstacle.given_forces
-            if given or isinstance(pair.friction, Preload):
-                raise InputError(
-                    f"contact pair {pair}: {purpose} is not known with obstacles held by forces, "
-                    "and with preloads."
-                )
+        """Advance the history of the material, if there is one, to a solution. Collective."""
 
     def check_inputs(self, purpose: str) -> None:
-        """Check that loads, prescribed values, slip bounds and gaps are those of the last solve.
-
-        Collective; errors name the purpose that needs them.
-        """
+        """Check that loads, laws and gaps are those of the last solve. Collective."""
         solved = self.solution_for(purpose)
         if self.state.pending and solved.status is not ContactStatus.CONVERGED:
             raise ContactError(
@@ -123,10 +445,7 @@ class ContactSystem(ContactSurfaces):
 
     @contextmanager
     def restored(self) -> Iterator[None]:
-        """Restore the state of the process at the end of the block. Collective.
-
-        If K or the pairing changes inside the block, derivatives of the last solution are lost.
-        """
+        """Restore the state of the process at the end of the block. Collective."""
         state = self.state
         try:
             yield
@@ -138,10 +457,9 @@ class ContactSystem(ContactSurfaces):
     def checked(self, solution: Solution) -> Solution:
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
-        Prescribed overlaps and the reason of a failure are logged. A solve that found no solution
-        since bodies slide away has this as its reason. With finite sliding, the first
-        configurations are not checked, since surfaces that come from afar may lie deep inside other
-        bodies there. Rotations and deformations have limits if the bodies are linear.
+        Prescribed overlaps and the reason of a failure are logged. Solutions that have a reason
+        already are not checked. With finite sliding, nor are the first configurations, in which
+        surfaces that come from afar may lie deep inside other bodies.
         """
         scene_checks.hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
@@ -179,16 +497,10 @@ class ContactSystem(ContactSurfaces):
         Args:
             options: options of the contact algorithm.
             units: names of units, for tables and pictures of the solution.
-            observe: function that is called before each iteration, on all ranks; the solve stops
-                if it returns True.
-            requested: the options that the user gave, if `options` have another accuracy: they
-                decide whether the solve converged.
-
-        Raises:
-            ContactError: the problem was destroyed, or its last `update_stiffness` failed.
-            InputError: an option, a load, a prescribed value or a slip bound is wrong.
-            MechanismError: nothing holds a body against its loads.
-            StiffnessError: a solve with K failed.
+            observe: function that is called before each iteration, on all ranks; True stops the
+                solve.
+            requested: options of the user, which decide whether the solve converged, if `options`
+                have another accuracy.
         """
         free_unused(self.comm)  # vectors of the solves before
         requested = requested or options
@@ -212,8 +524,7 @@ class ContactSystem(ContactSurfaces):
                 dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
             except MechanismError as error:
                 motion = with_owned_values(self.linear.V, error.motion, "motion")
-                lengths = np.linalg.norm(owned_values(motion), axis=1)
-                (greatest,) = largest_sizes(self.comm, lengths)
+                (greatest,) = largest_sizes(self.comm, np.linalg.norm(owned_values(motion), axis=1))
                 motion.x.array[:] /= greatest or 1.0  # zero where tools move
                 error.motion = motion
                 raise
@@ -224,7 +535,7 @@ class ContactSystem(ContactSurfaces):
         with timed("fields", timings):
             sides = self.secondary, self.bodies
             evaluation, history = evaluate(dual, *sides, dual_solution, estimate=options.balanced)
-        status = _status_of_fields(dual, dual_solution, evaluation, options, requested)
+        status = status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = self._checked_curves(dual, dual_solution)
         inputs = [self.linear.f.x.array.copy(), *self.law_values(curves)]
         sliding = ""
@@ -236,6 +547,7 @@ class ContactSystem(ContactSurfaces):
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
+        timings = dict(zip(timings, largest_sizes(self.comm, *timings.values()), strict=True))
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
         solution = StepSolution(
             status, dual, multipliers, evaluation, history, curves, inputs, moved, motions
@@ -256,18 +568,15 @@ class ContactSystem(ContactSurfaces):
             krylov_iterations=compliance.solver.krylov_iterations - krylov,
             residuals=dual_solution.residuals,
             q=dual_solution.q,
-            timings=largest_over_ranks(self.comm, timings),
+            timings=timings,
             sliding=sliding,
             problem_rows=self.rows(units),
-            bolts=self.bolt_forces(evaluation.pair_resultants),
+            bolts=self.obstacles.bolt_forces(jump, evaluation.pair_resultants),
             **vars(evaluation),
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Return the friction curves, checked at the pressures and slips of a solution. Collective.
-
-        A hint is logged if F decreases so fast with the slip that there may be several solutions.
-        """
+        """Return the friction curves, checked at the points of a solution. Collective."""
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
         if not isinstance(cones, FrictionCones) or cones.curves is None:
@@ -284,7 +593,6 @@ class ContactSystem(ContactSurfaces):
         """Check for floating bodies that no coefficient of friction depends on the slip.
 
         For a block held by viscous friction alone, the solver found no multipliers within minutes.
-        Not collective.
         """
         for pair in self.pairs:
             curve = pair.friction.terms.curve
@@ -302,37 +610,3 @@ def inputs_changed(purpose: str) -> ContactError:
         "loads, prescribed values, slip bounds, gaps or coefficients have changed since the "
         f"solution that {purpose} is for: call solve()."
     )
-
-
-def _status_of_fields(
-    dual: DualProgram,
-    solution: DualSolution,
-    evaluation: Evaluation,
-    options: SolverOptions,
-    requested: SolverOptions,
-) -> ContactStatus:
-    """Return the status of a solve from its fields, which are what the user gets. Collective.
-
-    The fields are computed anew from the last multipliers, and so is the bound of their error. It
-    may be larger than the bound with which the iteration ended: then rounding prevents the accuracy
-    that `options` ask for. It may also be small enough for what the user requested although the
-    iteration ended early, since `options` may ask for more, or the iterates were less accurate.
-    """
-    if solution.status is ContactStatus.STOPPED:
-        return ContactStatus.STOPPED
-    error = evaluation.energy_error_bound
-    ended_early = solution.status is not ContactStatus.CONVERGED
-    if not ended_early and not error > SLACK * solution.wanted:
-        return ContactStatus.CONVERGED
-
-    # the bound of the error is that of multipliers in equilibrium
-    balanced = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
-    if requested.rtol is not None:
-        as_requested = solution.residuals[-1] <= requested.rtol and requested != options
-    elif requested.balanced:  # by an estimate of the mesh's error, which the iteration knows
-        as_requested = False
-    else:
-        as_requested = error <= SLACK * float(requested.accuracy)
-    if balanced and as_requested:
-        return ContactStatus.CONVERGED
-    return solution.status if ended_early else ContactStatus.STAGNATED

@@ -14,7 +14,6 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
-from dolfinx_tresca.contact.contact_surfaces import ContactSurfaces
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
@@ -78,7 +77,7 @@ class Configuration:
         u: displacement of the solution [length], with ghosts.
         loads: (pairs, owned nodes) normal force of the solution at each node; 0 at open nodes.
         forces: contact forces of the solution [force] at owned unknowns.
-        gaps: (pairs, owned nodes) gaps of the solution [length].
+        gaps: (pairs, owned nodes) gaps of the solution [length], NaN without multipliers.
         distance: |u - w|^2 [length^2].
     """
 
@@ -116,7 +115,7 @@ class FiniteSliding:
         snaps: whether a step has followed growing residuals, as where bodies snap.
     """
 
-    def __init__(self, contact: ContactSurfaces) -> None:
+    def __init__(self, contact: ContactSystem) -> None:
         """Begin with the configuration in which the surfaces are paired now. Not collective."""
         self._contact = contact
         self._path: list[Configuration] = []
@@ -126,12 +125,9 @@ class FiniteSliding:
         self.configurations, self.snaps = 1, False
 
     def observe(self, u: fem.Function) -> None:
-        """Compare forces and gaps with the previous configuration, and estimate the error.
+        """Compare forces and gaps with the previous configuration; estimate the error. Collective.
 
-        Collective.
-
-        Changes that the rounding of positions causes count as zero: a body that returns to rest has
-        no other changes.
+        Changes within the rounding of positions count as zero, such as those of a body at rest.
         """
         contact, state = self._contact, self._contact.state
         pressures = np.asarray(contact.compliance.stress_rounding / contact.jump.stress_scale)
@@ -176,15 +172,10 @@ class FiniteSliding:
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
-        Its displacement is the displacement of the present configuration plus the response to the
-        change of the prescribed values, with the present K and unchanged contact forces. Bodies
-        with frames keep the deformation that they have. Those that are held turn with the
-        prescribed values, and free ones go on as they have moved in the last step, like the rollers
-        of a bearing.
-
-        Raises:
-            PairingError: the displaced surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
+        Its displacement is the present one plus the response to the change of the prescribed
+        values, with the present K and unchanged contact forces. Bodies with frames keep their
+        deformation. Those that are held turn with the prescribed values, and free ones go on as
+        they have moved in the last step, like the rollers of a bearing.
         """
         contact, state = self._contact, self._contact.state
         linear, origin, at_rest = contact.linear, state.configuration, contact.frames_at_rest
@@ -199,7 +190,7 @@ class FiniteSliding:
                     held = at_rest.continued(before, accepted, fraction)
             held.x.array[: len(linear.prescribed)][linear.prescribed] = values
             held.x.scatter_forward()
-            linear.frames = contact.frames_at(held)
+            linear.frames = at_rest.moved_with(held)
             v = origin if frames is None else frames.deformation(origin)
         try:
             w = linear.response_to_prescribed_values(contact.compliance.solver, v)
@@ -207,18 +198,14 @@ class FiniteSliding:
             w = w if linear.frames is None else linear.frames.displacement(w)
         finally:
             linear.frames = frames
-        change = w.x.array - origin.x.array
-        moved, displaced = largest_sizes(contact.comm, change, w.x.array)
+        moved, displaced = largest_sizes(contact.comm, w.x.array - origin.x.array, w.x.array)
         if moved > ROUNDING * (contact.obstacles.extent + displaced):
             contact.pair_where_changed(w)
 
     def _part_of_last_motion(
         self, values: Array, before: fem.Function, accepted: fem.Function
     ) -> float:
-        """Return the change of the prescribed values in this step, relative to the last one.
-
-        It is 1 if they change by the same amounts, and zero if they do not change. Collective.
-        """
+        """Return the change of the prescribed values, relative to the last step's. Collective."""
         prescribed = self._contact.linear.prescribed
         begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
         last_step, present_step = reached - begin, values - reached

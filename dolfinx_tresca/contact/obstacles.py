@@ -11,17 +11,18 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, reduce_array
+from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.floating.equilibrium import FreeMotion, Tools
-from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.friction import Preload
 from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
+from dolfinx_tresca.solution.forces import BoltForce, Resultant
 
 #: A cut is flat if 1 minus the cosine of the angle between any normal and their mean is at most
 #: this number (a tenth of a degree is 1.5e-6).
@@ -32,9 +33,7 @@ class Obstacles:
     """The rigid obstacles of a problem, and their distances when the surfaces were paired.
 
     The two sides of a cut bolt have a motion, too: the secondary side, relative to the primary one.
-
-    Attributes:
-        extent: the largest absolute coordinate of the mesh on all ranks [length].
+    `extent` is the largest absolute coordinate of the mesh on all ranks [length].
     """
 
     def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
@@ -71,34 +70,56 @@ class Obstacles:
                 place[:] = ends[0].towards(ends[1], fraction, obstacle.centre).matrix
         return result
 
-    def axis(self, number: int, operators: PairOperators) -> Array:
-        """Return the mean normal (3,) of the secondary side of a bolt's cut. Collective."""
-        comm, axis = self._V.mesh.comm, np.zeros(3)
-        dim = operators.normals.shape[1]
-        mean = reduce_array(comm, operators.weights @ operators.normals)
-        axis[:dim] = mean / (np.linalg.norm(mean) or 1.0)
-        tilt = 1.0 - (operators.normals @ axis[:dim]).min(initial=1.0)
-        if comm.allreduce(tilt, op=MPI.MAX) > FLAT:
-            raise InputError(
-                f"contact pair {self._pairs[number]} with a preload must be a flat cut across one "
-                "bolt: cut the bolt by a plane, and give each bolt a pair of its own."
-            )
-        return axis
+    def bolts(self, jump: JumpOperator) -> dict[int, tuple[Preload, Array]]:
+        """Return number of pair -> preload, and mean normal (3,) of the cut. Collective."""
+        comm, bolts = self._V.mesh.comm, {}
+        for number, (pair, operators) in enumerate(zip(self._pairs, jump.pairs, strict=True)):
+            if not isinstance(pair.friction, Preload):
+                continue
+            mean = reduce_array(comm, operators.weights @ operators.normals)
+            axis = mean / (np.linalg.norm(mean) or 1.0)
+            tilt = 1.0 - (operators.normals @ axis).min(initial=1.0)
+            if comm.allreduce(tilt, op=MPI.MAX) > FLAT:
+                raise InputError(
+                    f"contact pair {pair} with a preload must be a flat cut across one bolt: cut "
+                    "the bolt by a plane, and give each bolt a pair of its own."
+                )
+            bolts[number] = pair.friction, in_space(axis)
+        return bolts
+
+    def bolt_forces(
+        self, jump: JumpOperator, resultants: Sequence[Resultant]
+    ) -> dict[str, BoltForce]:
+        """Return the force in each bolt, by the name of its pair, from all pairs' resultants."""
+        result = {}
+        for number, (preload, axis) in self.bolts(jump).items():
+            force = float(axis @ in_space(resultants[number].force))
+            result[str(self._pairs[number])] = BoltForce(force, force - preload.value)
+        return result
+
+    def check_no_tools(self, purpose: str) -> None:
+        """Check that neither obstacles nor bolts have given forces. Not collective."""
+        for pair in self._pairs:
+            given = pair.obstacle is not None and pair.obstacle.given_forces
+            if given or isinstance(pair.friction, Preload):
+                raise InputError(
+                    f"contact pair {pair}: {purpose} is not known with obstacles held by forces, "
+                    "and with preloads."
+                )
 
     def tools(self, jump: JumpOperator, bodies: Bodies, begun: bool) -> Tools | None:
-        """Return the obstacles held by forces, and the bolts that are pulled. Collective.
+        """Return obstacles held by forces, and bolts that are pulled; None without. Collective.
 
-        The result is None if there are none. The first accepted load step locks the bolts: the
-        process has then `begun`.
+        The first accepted load step locks the bolts: the process has then `begun`.
         """
         motions: list[FreeMotion] = []
+        bolts = {} if begun else self.bolts(jump)
         for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
-            if isinstance(pair.friction, Preload) and not begun:
-                direction = np.append(self.axis(number, jump.pairs[number]), np.zeros(3))
-                force, point = pair.friction.value, np.zeros(3)
-                motions.append(
-                    FreeMotion(f"bolt {pair}", "overlap", [number], direction, point, force)
-                )
+            if number in bolts:
+                preload, axis = bolts[number]
+                direction, point = np.append(axis, np.zeros(3)), np.zeros(3)
+                bolt = f"bolt {pair}", "overlap", [number], direction, point, preload.value
+                motions.append(FreeMotion(*bolt))
             elif obstacle is not None and obstacle.given_forces is not None:
                 if pair.sliding == "finite":
                     raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")
@@ -138,10 +159,7 @@ class Obstacles:
         self._at_pairing = self._distances(jump)
 
     def _distances(self, jump: JumpOperator) -> list[Array]:
-        """Return for each pair an array (n, 4): distances and normals at undeformed nodes.
-
-        For a pair of deformable bodies, the array has no rows. Collective.
-        """
+        """Return distances and normals (n, 4) at each pair's undeformed nodes. Collective."""
         has_obstacle = any(obstacle is not None for obstacle in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
         with errors_on_all_ranks(self._V.mesh.comm):
@@ -151,11 +169,7 @@ class Obstacles:
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
-        """Return for each pair whether distances from or normals of its obstacle have changed.
-
-        The change is that since `note_pairing`. An obstacle that moves along its own surface
-        changes neither. Collective.
-        """
+        """Return (pairs,) whether distances or normals differ from the pairing. Collective."""
         limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of the distance, the normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
@@ -166,8 +180,8 @@ class Obstacles:
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rate of change (pairs,) of each pair's distances. Collective.
 
-        A change of a normal, times the extent of the mesh, counts as a change of a distance. None
-        as direction stands for one along which any obstacle that depends on the control changes.
+        A change of a normal counts times the extent of the mesh. None as direction stands for one
+        along which any obstacle that depends on the control changes.
         """
         if direction is None:  # no small whole numbers, along which a plane might not move
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))
@@ -184,12 +198,8 @@ class Obstacles:
         ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
         return np.array(largest_sizes(comm, *np.split(rates[0], ends)))
 
-    def displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
-        """Return the displacement of an obstacle at each node, since a former position.
-
-        At a node this is the displacement of the obstacle's material point that is at the node now,
-        if the displacement of the nodes is u. Not collective.
-        """
+    def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
+        """Return how far the obstacle's point now at each node, displaced by u, has moved."""
         dim = self._V.mesh.geometry.dim
         points = self._V.tabulate_dof_coordinates().T.copy()
         points[:dim] += u.x.array.reshape(-1, dim).T
@@ -198,3 +208,18 @@ class Obstacles:
         result = fem.Function(self._V)
         result.x.array[:] = moved[:dim].T.ravel()
         return result
+
+    def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
+        """Return scaled jumps (size,) of `motions`, and the largest displacement. Collective."""
+        jump = state.jump
+        jumps, largest = np.zeros(len(jump.gap)), 0.0
+        for pair, start, end, (normal, tangential) in zip(
+            self._pairs, before, after, jump.slices, strict=True
+        ):
+            if not np.array_equal(start, end):
+                u = state.configuration if pair.sliding == "finite" else state.geometry
+                moved = self._displacement(start, end, u)
+                largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
+                rows = slice(normal.start, tangential.stop)
+                jumps[rows] = jump.of_displacement(moved)[rows]
+        return jumps, largest

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, dots
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
@@ -44,10 +44,9 @@ def write_state(
 ) -> None:
     """Write the state from which a solve begins; see `StepState.at_start`. Collective.
 
-    Displacements and slips are values at all nodes. Multipliers and the origin of friction are
-    values at the contact nodes of each pair: a pressure and two vectors for each smooth patch of
-    the surface to which the node belongs, since the tangents are arbitrary. The last solution is
-    not written. The file appears when it is complete.
+    Multipliers and the origin of friction are written as a pressure and two vectors for each smooth
+    patch of the surface to which a node belongs, since the tangents are arbitrary. The last
+    solution is not written.
     """
     jump, history, accepted = state.jump, state.history, state.accepted
     places = surroundings(jump.system.V)
@@ -64,14 +63,11 @@ def write_state(
     }
     if history.begun:
         columns |= {f"nodes/slip of pair {k}": slip for k, slip in enumerate(history.slipped)}
-    origin = history.origin * jump.length_scale
-    tractions = state.multipliers * jump.stress_scale
-    for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
-        pressure = np.zeros((len(pair.nodes), 1))
-        pressure[pair.normal_node, 0] = tractions[n]
-        vectors = [pair.tangential_vectors(values[t]) for values in (tractions, origin)]
+    tractions = jump.nodal_vectors(state.multipliers * jump.stress_scale)
+    origins = jump.nodal_vectors(history.origin * jump.length_scale)
+    for k, pair in enumerate(jump.pairs):
         columns[f"pair {k}/{PLACES}"] = _contact_places(pair, places)
-        columns[f"pair {k}/values"] = np.hstack([pressure, *vectors])
+        columns[f"pair {k}/values"] = np.hstack([tractions[k], origins[k][:, 1:]])
     for k, function in enumerate([*_functions_of_unknowns(state), *material]):
         columns[f"function {k}/{PLACES}"] = surroundings(function.function_space)
         columns[f"function {k}/values"] = owned_values(function)
@@ -100,11 +96,7 @@ class SavedState:
     def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
         """Read a file for a problem in its present state. Collective.
 
-        The Functions of the material have the spaces of the saved ones, and are not changed.
-
-        Raises:
-            InputError: the file cannot be read, or belongs to another mesh or degree, to another
-                kind of problem, or to a problem with another number of pairs or Functions.
+        The given Functions of the material are not changed: they have the spaces of the saved ones.
         """
         system, pairs = present.jump.system, len(present.jump.pairs)
         self._path, self._comm, self._system = path, system.comm, system
@@ -180,13 +172,14 @@ class SavedState:
                     "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
                     "last accepted displacement."
                 )
-        multipliers, origin = np.zeros((2, len(jump.gap)))
-        for k, (pair, (n, t)) in enumerate(zip(jump.pairs, jump.slices, strict=True)):
-            values = self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
-            multipliers[n] = values[pair.normal_node, 0]
-            tractions_and_slips = np.split(values[:, 1:], 2, axis=1)
-            for result, vectors in zip((multipliers, origin), tractions_and_slips, strict=True):
-                result[t] = dots(vectors[pair.tangent_node], pair.tangents)
+        rows = [
+            self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
+            for k, pair in enumerate(jump.pairs)
+        ]
+        dim = jump.system.V.mesh.geometry.dim
+        tractions = jump.components([values[:, : 1 + dim] for values in rows])
+        origin = jump.components([values[:, dim:] for values in rows])
+        origin[~jump.is_tangential] = 0.0
         slips = enumerate(SlipHistory.none(jump).slipped)
         history = SlipHistory(
             origin / jump.length_scale,
@@ -207,16 +200,13 @@ class SavedState:
                 for i, values in enumerate(self._unknowns):
                     w.sub(i).interpolate(values)
             unknowns = w.x.array.copy()
-        state = replace(present, unknowns=unknowns, multipliers=multipliers / jump.stress_scale)
+        state = replace(present, unknowns=unknowns, multipliers=tractions / jump.stress_scale)
         state = state.after_step(history, displacement, configuration=configuration, before=before)
         return replace(state, solution=None)
 
 
 def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
-    """Return the displacement of nonlinear bodies, or all parts of a mixed space. Collective.
-
-    There are none for linear bodies, whose next solve finds the displacement.
-    """
+    """Return the displacement of nonlinear bodies, or all parts of a mixed space. Collective."""
     if state.unknowns is None:
         return []
     system = state.jump.system
@@ -261,23 +251,17 @@ def _laws(jump: JumpOperator) -> list[str]:
 
 
 def _contact_places(pair: PairOperators, places: Array) -> Array:
-    """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch.
-
-    A node on a sharp edge belongs to several smooth patches of the surface, which are entries of
-    `pair.nodes` one after the other. Not collective.
-    """
+    """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch."""
     _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
     patch = np.arange(len(pair.nodes)) - start[row]
     return np.column_stack([places[pair.nodes], patch])
 
 
 def surroundings(V: Any) -> Array:
-    """Return two positions (n, 2 d) for each of this rank's own nodes or points. Collective.
+    """Return two positions (n, 2 d) that identify each own node or point of this rank. Collective.
 
-    The first position, with d coordinates, is the position of the node itself. The second is the
-    mean of the midpoints of the cells around the node, which distinguishes nodes of two bodies that
-    touch. Together the positions identify a node on any partition, up to rounding, also on refined
-    meshes, where the number of a node depends on the partition.
+    They are its position and the mean of the midpoints of the cells around it, which distinguishes
+    nodes of bodies that touch. Numbers of nodes depend on the partition, as of refined meshes.
     """
     dim, cells = V.mesh.geometry.dim, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     points = V.tabulate_dof_coordinates()[:, :dim]

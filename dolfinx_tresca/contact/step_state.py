@@ -29,10 +29,8 @@ class AcceptedStep:
         multipliers: (size,) multipliers to which solves return if their result may depend on them.
         unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
             space, that belong to these multipliers; None for linear bodies.
-        displacement: displacement [length] from which slip counts with finite sliding; None: the
-            bodies were undeformed.
-        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`), from which slip
-            counts.
+        displacement: displacement [length] from which slip counts with finite sliding; None: zero.
+        motions: (pairs, 3, 4) positions of rigid obstacles, from which slip counts.
         configuration: displacement [length] at which pairs with finite sliding were paired; None:
             solves begin with the present pairing.
         before: displacement [length] of the step before; None: there is none, or it is not known.
@@ -51,10 +49,7 @@ class StepSolution:
     """A solution, which `StepState.after_solution` can make an accepted step.
 
     Attributes:
-        status: the reason why the solve ended.
-        dual: the dual problem.
         multipliers: (size,) solution of the dual problem.
-        fields: displacement and fields of the solution.
         history: slip and dissipation of the accepted steps and of this solution.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
@@ -78,8 +73,7 @@ class StepState:
     """The state of a process of load steps: what the next solve depends on, beside its inputs.
 
     Loads, prescribed values and the places to which the user moves obstacles are inputs. States are
-    never changed: each operation returns another one, so a former state can be put back as a whole
-    (`ContactSurfaces.return_to`), or written to a file.
+    never changed: each operation returns another one.
 
     If friction depends on the pressure, the solution of a load step may depend on the tractions at
     which its solve starts: these must be tractions of the last accepted step, not of a trial solve.
@@ -91,11 +85,9 @@ class StepState:
         history: slip and dissipation of the accepted steps, and the origin of friction.
         multipliers: (size,) multipliers of the last solve, at which the next solve starts unless it
             returns to the accepted step.
-        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) for which the
-            surfaces are paired.
+        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) at the pairing.
         configuration: displacement [length] at which pairs with finite sliding are paired.
         geometry: displacement [length] at which the other pairs are paired.
-        accepted: the last accepted step.
         unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
             space, with ghosts; None for linear bodies.
         end: `unknowns` at which the last solve ended; None: it has not ended. If the user has
@@ -125,24 +117,17 @@ class StepState:
         """Return the state of undeformed bodies without load. Not collective."""
         zeros, at_rest = np.zeros(len(jump.gap)), fem.Function(jump.system.V)
         accepted = AcceptedStep(zeros, None, None, motions, None)
-        history = SlipHistory.none(jump)
-        return cls(jump, history, zeros, motions, at_rest, at_rest, accepted)
+        return cls(jump, SlipHistory.none(jump), zeros, motions, at_rest, at_rest, accepted)
 
     def started_at(self, multipliers: Array) -> StepState:
-        """Return the state in which solves start at multipliers (size,) until a step is accepted.
-
-        Not collective.
-        """
+        """Return the state in which solves start at multipliers until a step is accepted."""
         accepted = replace(self.accepted, multipliers=multipliers, unknowns=self.unknowns)
         return replace(self, multipliers=multipliers, accepted=accepted, end=None, continues=False)
 
     def after_step(
         self, history: SlipHistory, displacement: fem.Function | None, **accepted: Any
     ) -> StepState:
-        """Return the state after a load step with the present obstacles. Not collective.
-
-        Further arguments are fields of `AcceptedStep` that differ from their present values.
-        """
+        """Return the state after a load step with the present obstacles; `accepted` has changes."""
         present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
         step = replace(self.accepted, displacement=displacement, **(present | accepted))
         after = replace(self, history=history, accepted=step, pending=False)
@@ -179,7 +164,7 @@ class StepState:
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which a solve begins now. Collective.
 
-        This is the last accepted step if the solution may depend on where its solve starts, unless
+        This is the last accepted step if the solution may depend on the start of its solve, unless
         the user has changed the unknowns since.
         """
         if not depends_on_start or not self.history.begun or self.continues:
@@ -191,23 +176,17 @@ class StepState:
         return replace(self, multipliers=self.accepted.multipliers, unknowns=unknowns)
 
     def along_tangents(self, jump: JumpOperator) -> StepState:
-        """Return the state on a B with rotated tangents. Not collective.
-
-        Components of the multipliers and of the slip history change with the tangents.
-        """
+        """Return the state on a B with rotated tangents. Not collective."""
         carry = Carry(self.jump, jump)
         origin = carry.residuals(self.history.origin)
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
-        """Return the state on the B of displaced surfaces. Collective.
+        """Return the state on the B of surfaces displaced by u [length]. Collective.
 
-        Args:
-            jump: B of the displaced surfaces.
-            u: their displacement [length].
-            since_accepted: for each pair, True: the slip of this step becomes the tangential jump,
-                between nodes and their present partners, of the displacement since the last
-                accepted step; False: nodes keep their slip so far.
+        With `since_accepted` (pairs,), the slip of this step becomes the tangential jump, between
+        nodes and their present partners, since the last accepted step; else nodes keep their slip
+        so far.
         """
         carry = Carry(self.jump, jump)
         kept = carry.residuals(self.jump.of_displacement(u) - self.history.origin)

@@ -528,9 +528,9 @@ def tangent_of(
 
     def vectors(side: JumpOperator, stress: Array, slip: Array) -> Array:
         """Return tractions and slips (2, n, d) at the nodes of all pairs, pair by pair."""
-        pairs = [(rows.operators, rows.tangential) for rows in side.by_pair]
         by_pair = [
-            [pair.tangential_vectors(values[t]) for values in (stress, slip)] for pair, t in pairs
+            [rows.nodal_vectors(values)[:, 1:] for values in (stress, slip)]
+            for rows in side.by_pair
         ]
         return np.concatenate(by_pair, axis=1)
 
@@ -545,9 +545,8 @@ def tangent_of(
     of_pairs = np.split(changes, ends, axis=1)
     for rows, surface, tangential in zip(by_pair, surfaces, of_pairs, strict=True):
         pair = rows.operators
-        pressure, gap = np.zeros((2, len(pair.nodes)))
-        pressure[pair.normal_node], gap[pair.normal_node] = stress[rows.normal], -slip[rows.normal]
-        values = {"pressure": pressure, "gap": gap}
+        pressure, closing = (rows.nodal_vectors(values)[:, 0] for values in (stress, slip))
+        values = {"pressure": pressure, "gap": -closing}
         if data.comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR):
             values |= dict(zip(("traction", "slip"), tangential, strict=True))
         fields = {name: surface.function(name, pair.nodes, v) for name, v in values.items()}

@@ -33,7 +33,7 @@ One solve, from the user's call to the table, with linear bodies. Once for all s
 `ContactProblem(...)` makes the `LinearSystem`, pairs the surfaces and makes B, finds the bodies
 that hardly anything holds (room `floating`), and factors K with springs that hold them; A follows.
 
-1. `ContactProblem.solve` collects options and observer. `ContactSurfaces.begin_solve` pairs anew
+1. `ContactProblem.solve` collects options and observer. `ContactSystem.begin_solve` pairs anew
    the surfaces whose obstacles have moved, and returns to the state in which the solve starts.
 2. `ContactSystem.solve` assembles f, evaluates slip bounds and gaps at the nodes, and makes the
    `DualProgram`. This takes the first solve with K, for u = K^-1 f, from which b follows. An

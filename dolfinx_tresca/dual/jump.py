@@ -44,6 +44,10 @@ class RowsOfPair:
     normal: Indices
     tangential: Indices
 
+    def nodal_vectors(self, values: Array) -> Array:
+        """Return the values (size,) of B's rows at the nodes, see `PairOperators`."""
+        return self.operators.nodal_vectors(values[self.normal], values[self.tangential])
+
 
 class JumpOperator(PetscOwner):
     """The jump operator B with scaled rows, and the data of its rows.
@@ -198,6 +202,19 @@ class JumpOperator(PetscOwner):
         same = all(pair is before for pair, before in zip(pairs, self.pairs, strict=True))
         everywhere = self.comm.allreduce(same, op=MPI.LAND)
         return self if everywhere else JumpOperator(self.system, pairs, self.frames)
+
+    def nodal_vectors(self, values: Array) -> list[Array]:
+        """Return the values (size,) of B's rows at each pair's nodes, see `PairOperators`."""
+        pairs = zip(self.pairs, self.slices, strict=True)
+        return [pair.nodal_vectors(values[n], values[t]) for pair, (n, t) in pairs]
+
+    def components(self, vectors: Sequence[Array]) -> Array:
+        """Return the values (size,) of B's rows from `nodal_vectors`. Not collective."""
+        result = np.zeros(len(self.gap))
+        for pair, (n, t), rows in zip(self.pairs, self.slices, vectors, strict=True):
+            result[n] = rows[pair.normal_node, 0]
+            result[t] = dots(rows[pair.tangent_node, 1:], pair.tangents)
+        return result
 
     def of_unknowns(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for all unknowns u of the system. Collective.

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask, dots
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.parallel import gather_rows
 from dolfinx_tresca._base.petsc import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -131,17 +131,10 @@ class Carry:
 
     def _carried(self, values: Array) -> Array:
         """Convert tractions [stress] or jumps [length], (size,), to the new B."""
-        before, after, result = self._before, self._after, np.zeros(len(self._after.gap))
-        for k, position in enumerate(self._positions):
-            old, (normal_rows, tangential_rows) = before.pairs[k], before.slices[k]
-            new, (n, t) = after.pairs[k], after.slices[k]
-            normal = np.zeros(len(old.nodes) + 1)  # the last number is for new nodes
-            normal[old.normal_node] = values[normal_rows]
-            vectors = old.tangential_vectors(values[tangential_rows])
-            vectors = np.vstack([vectors, np.zeros((1, vectors.shape[1]))])
-            result[n] = normal[position[new.normal_node]]
-            result[t] = dots(vectors[position[new.tangent_node]], new.tangents)
-        return result
+        pairs = zip(self._before.nodal_vectors(values), self._positions, strict=True)
+        # the row of zeros after the last one is for new nodes
+        padded = [np.pad(vectors, ((0, 1), (0, 0)))[position] for vectors, position in pairs]
+        return self._after.components(padded)
 
 
 def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
@@ -195,8 +188,8 @@ class SlipHistory:
         """Return the history whose slip is the tangential jump of a displacement. Collective."""
         slip = jump.of_displacement(u) * jump.length_scale
         steps = []
-        for pair, (_, t) in zip(jump.pairs, jump.slices, strict=True):
-            vectors = pair.tangential_vectors(np.zeros_like(slip[t]) if pair.bonded else slip[t])
+        for pair, rows in zip(jump.pairs, jump.nodal_vectors(slip), strict=True):
+            vectors = np.zeros_like(pair.normals) if pair.bonded else rows[:, 1:]
             steps.append(np.column_stack([vectors, np.linalg.norm(vectors, axis=1)]))
         return cls.from_slip(jump, steps, 0.0)
 
@@ -209,10 +202,8 @@ class SlipHistory:
         For each pair, slips (n, d + 1) are slip vectors at its nodes and the lengths of their paths
         [length].
         """
-        origin = np.zeros(len(jump.gap))
-        for pair, slip, (_, t) in zip(jump.pairs, slips, jump.slices, strict=True):
-            vectors = slip[pair.tangent_node, :-1]
-            origin[t] = dots(vectors, pair.tangents) / jump.length_scale[t]
+        vectors = [np.pad(slip[:, :-1], ((0, 0), (1, 0))) for slip in slips]
+        origin = jump.components(vectors) / jump.length_scale
         return cls.none(jump).after(jump, origin, slips, dissipation)
 
     def after(

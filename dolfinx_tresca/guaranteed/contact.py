@@ -155,10 +155,11 @@ class ContactSurface:
         stress = multipliers * dual.jump.stress_scale
         origin = (dual.offset - dual.jump.gap) * dual.jump.length_scale
         values = np.zeros((V.dofmap.index_map.size_local, 2 * d + 3))
-        values[pair.nodes[pair.normal_node], 0] = stress[rows.normal]
+        tractions = rows.nodal_vectors(stress)
+        values[pair.nodes, 0] = tractions[:, 0]
         values[pair.nodes, 1] = 0.0 if self.bonded else bounds[rows.nodes]
-        values[pair.nodes, 2 : d + 2] = -pair.tangential_vectors(stress[rows.tangential])
-        values[pair.nodes, d + 2 : -1] = pair.tangential_vectors(origin[rows.tangential])
+        values[pair.nodes, 2 : d + 2] = -tractions[:, 1:]
+        values[pair.nodes, d + 2 : -1] = rows.nodal_vectors(origin)[:, 1:]
         components = 1 if isinstance(self.pair.friction, Frictionless) else d
         counts = np.bincount(pair.row_node, minlength=len(pair.nodes))
         values[pair.nodes, -1] = counts == components

@@ -135,10 +135,14 @@ class PairOperators:
         """The index in `nodes` of each row of (N; T)."""
         return np.concatenate([self.normal_node, self.tangent_node])
 
-    def tangential_vectors(self, values: Array) -> Array:
-        """Return nodal vectors (n, d) from their components (n_tangential,) along `tangents`."""
-        result = np.zeros_like(self.normals)
-        np.add.at(result, self.tangent_node, values[:, None] * self.tangents)
+    def nodal_vectors(self, normal: Array, tangential: Array) -> Array:
+        """Return normal component and tangential vector (n, 1 + d) from values of rows of N and T.
+
+        The normal component is 0 at nodes without a row of N.
+        """
+        result = np.pad(np.zeros_like(self.normals), ((0, 0), (1, 0)))
+        result[self.normal_node, 0] = normal
+        np.add.at(result[:, 1:], self.tangent_node, tangential[:, None] * self.tangents)
         return result
 
 

@@ -97,11 +97,7 @@ class NewtonOptions:
     max_halvings: int = 6
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            InputError: a value is of the wrong type or out of its range.
-        """
+        """Check every value."""
         vars(self).update(
             accuracy=checked_number("accuracy of Newton's method", self.accuracy, "(0, 1)"),
             max_iterations=checked_integer("max_iterations", self.max_iterations),
@@ -199,15 +195,13 @@ class EnergyBalance:
     """Work, stored energy and friction between the start of a solve and its solution.
 
     The work of loads, prescribed values and obstacles is that of forces which change linearly with
-    the motion (the trapezoidal rule), as they do in small steps of a quasi-static process. The
-    change of the stored energy is the integral of the internal forces R over the straight path from
-    u_0 to u_1. The energy that remains is
+    the motion (the trapezoidal rule). The change of the stored energy is the integral of the
+    internal forces R over the straight path from u_0 to u_1. The energy that remains is
 
         1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
 
     with the contact forces C = B'lambda, the displacement v of the obstacles at the nodes, and the
-    dissipation D of friction. Forces at prescribed degrees of freedom and loads that have changed
-    are included. In a smooth step each of the differences vanishes, to third order in the step.
+    dissipation D of friction. In a smooth step it vanishes, to third order in the step.
     """
 
     def __init__(self, problem: TangentProblem) -> None:
@@ -224,16 +218,15 @@ class EnergyBalance:
     def _contact(self) -> tuple[Array, float, float]:
         """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
         problem, multipliers = self._problem, self._problem.state.multipliers
-        jumps, largest = problem.obstacle_jumps(*self._motions)
+        jumps, largest = problem.obstacles.jumps(problem.state, *self._motions)
         forces = np.array(problem.jump.whole_force(multipliers).array)
         return forces, float(multipliers @ jumps), largest
 
     def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
-        """Return the released energy at the present displacement, and whether bodies snap.
+        """Return the released energy up to the present u, and whether bodies snap. Collective.
 
-        The energy is NaN if the solve did not start where the last one ended, or if internal forces
-        cannot be computed on the straight path. If a function of the user computes them, it is
-        called only where bodies move `FAR`, and the energy is NaN elsewhere. Collective.
+        The energy is NaN if the solve did not start where the last one ended, if internal forces
+        cannot be computed, or if a function of the user computes them and bodies do not move `FAR`.
         """
         problem, tangent = self._problem, self._problem.tangent
         forces, work, driven = self._contact()
@@ -269,13 +262,9 @@ class Newton:
     """Newton's method for one `solve`: the change of load in as few parts as possible.
 
     Attributes:
-        problem: the contact problem of a step.
         options: options of Newton's method.
         contact: options of the contact algorithm.
-        units: names of units, for tables and pictures of the solution.
-        observe: function that observes iterations, and stops the solve if it returns True.
         start: values of u at which the solve starts.
-        steps: all Newton steps so far.
         fraction: part of the change of load that has been applied.
         solution: the solution for `fraction` of the change of load; if no part was solved, the
             solution of the last step; None if no step could be made.
@@ -311,13 +300,7 @@ class Newton:
         self.start = self.problem.u.x.array.copy()
 
     def run(self) -> None:
-        """Apply the change of load, in parts where Newton's method fails. Collective.
-
-        The part is halved after a failure, and doubled after a success.
-
-        Raises:
-            InputError: an input is wrong; or nothing holds a body against its loads.
-        """
+        """Apply the change of load, in parts where Newton's method fails. Collective."""
         problem = self.problem
         step = 1.0
         while self.fraction < 1.0:
@@ -360,10 +343,7 @@ class Newton:
         return text
 
     def _equilibrium(self) -> str:
-        """Take Newton steps for the present part of the load; return why they failed. Collective.
-
-        The text is empty after a success.
-        """
+        """Take Newton steps for a part of the load; return why they failed, or "". Collective."""
         problem, norm_before, number = self.problem, math.inf, 0
         errors: list[float] = []  # of each step, divided by the requested error
         pressed = problem.normal_forces_at_nodes() > 0.0
@@ -472,12 +452,10 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        After `max_iterations` steps, it may continue only if bodies snap, which takes up to
-        `MAX_ITERATIONS_FACTOR` times this number, or if the error falls fast enough: at its mean
-        rate in the second half of the steps so far, it must reach the requested error by this
-        larger number of steps. Rates are of the least errors so far, since Anderson's acceleration
-        makes errors of the configuration jump up and down. Errors are relative to the requested
-        ones.
+        After `max_iterations` steps, it may continue up to `MAX_ITERATIONS_FACTOR` times this
+        number if bodies snap, or if the error, relative to the requested one, falls fast enough at
+        its mean rate in the second half of the steps. Rates are of the least errors so far, since
+        Anderson's acceleration makes errors of the configuration jump up and down.
         """
         most, number = self.options.max_iterations, len(errors)
         snaps = any(step.is_proximal for step in self.steps[-number:])
@@ -495,11 +473,7 @@ class Newton:
     def _step(self) -> ContactSolution:
         """Solve the contact problem of a step, with added stiffness if needed. Collective.
 
-        Entries of `ADDED` are tried in turn, from the entry of the last step on, or from the entry
-        before it if the entry of the last step makes Newton's method slow.
-
-        Raises:
-            StiffnessError: no entry makes the tangent definite.
+        A `StiffnessError` says that no entry of `ADDED` makes the tangent definite.
         """
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first_level = self.level if self.level < FIRST_SLOW else self.level - 1

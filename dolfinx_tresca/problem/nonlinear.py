@@ -56,8 +56,7 @@ class NonlinearContactSolution(ContactSolution):
         return super().failure
 
     def _rows(self) -> list[Row]:
-        steps = self.newton.steps
-        newton = f"{len(steps)} steps, residual {self.newton.residual:.1e}"
+        newton = f"{len(self.newton.steps)} steps, residual {self.newton.residual:.1e}"
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
         result = [rows[0], ("Newton", newton), *rows[1:]]
         if self.newton.snaps:
@@ -227,8 +226,8 @@ class NonlinearContactProblem(ContactProcess):
     def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, repeated with the tangent at the solution. Collective.
 
-        Derivatives need this tangent, but the last assembled tangent belongs to the previous
-        iterate. So a further Newton step is made. Error messages name the `purpose`.
+        The last assembled tangent belongs to the previous iterate, so a further Newton step is
+        made.
         """
         former, problem = super()._solved_for(purpose), self._contact
         if not problem.state.pending:

@@ -74,11 +74,7 @@ class ContactProcess(PetscOwner, Tabulated):
     _tape: ProcessTape | None = None
 
     def __init__(self, pairs: Any, options: Any, units: Any) -> None:
-        """Check and store the arguments that all problems have. Collective.
-
-        Raises:
-            InputError: an argument is wrong.
-        """
+        """Check and store the arguments that all problems have. Collective."""
         check_options(options)
         check_type("units", units, Units | None, 'such as Units("mm", "MPa")')
         self.options, self.units = options, units
@@ -230,7 +226,7 @@ class ContactProcess(PetscOwner, Tabulated):
         """
         contact, jump = self._contact, self._contact.jump
         contact.check_not_destroyed()
-        contact.check_no_tools("a slip origin")
+        contact.obstacles.check_no_tools("a slip origin")
         if u is not None:
             contact.linear.check_displacement("the slip origin", u, " or None,")
         contact.note_obstacles()
@@ -271,7 +267,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 "from the displacement of that step."
             )
         contact, jump = self._contact, self._contact.jump
-        contact.check_no_tools("the continuation of a step on another mesh")
+        contact.obstacles.check_no_tools("the continuation of a step on another mesh")
         solution.raise_if_failed()
         contact.note_obstacles()
         slips = slip_from(solution.surfaces, jump)
@@ -367,7 +363,7 @@ class ContactProcess(PetscOwner, Tabulated):
             ContactError: nothing was solved since K or the pairing changed.
             InputError: the goal is wrong.
         """
-        self._contact.check_no_tools("the value of a goal")
+        self._contact.obstacles.check_no_tools("the value of a goal")
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._contact.solution_for("the value of a goal")
         jump = solved.dual.jump
@@ -445,10 +441,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return goals.tangent_of(data, self._contact.secondary, controls, directions)
 
     def _data_of_solution(self, controls: Sequence[Any]) -> DataOfSolution:
-        """Return the data of the last solution, to differentiate them by controls. Collective.
-
-        The number of nodes at the edge of their state is logged.
-        """
+        """Return the data of the last solution, to differentiate them by controls. Collective."""
         self._check_pairing_fixed()
         solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
@@ -511,14 +504,9 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the last solve, with K at its displacement; errors name the purpose. Collective.
-
-        Raises:
-            ContactError: the problem was destroyed, or nothing was solved since it changed.
-            InputError: the forms are no forms of UFL, or are on a mixed space.
-        """
+        """Return the last solve, with K at its displacement, for a purpose. Collective."""
         contact = self._contact
-        contact.check_no_tools(purpose)
+        contact.obstacles.check_no_tools(purpose)
         if contact.linear.component is not None:
             raise InputError(
                 f"{purpose} needs a form of the displacement alone, and not that of a mixed space: "

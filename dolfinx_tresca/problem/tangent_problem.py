@@ -34,25 +34,24 @@ class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
     Here R are internal minus external forces, and h is the part of the change of load that is not
-    applied yet.
+    applied yet. In a mixed space, u has other unknowns besides the displacement, and K is a saddle
+    point.
 
-    Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only: it is added
-    on both sides, so the solution of a converged iteration does not depend on this stiffness. Its
-    springs in the contact have forces beside, which vanish there where contact holds.
+    Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only, so the
+    solution of a converged iteration does not depend on it. Its springs in the contact have forces
+    beside, which vanish there where contact holds.
 
     A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
     at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
     at the start. So t applies any change of the loads, whatever has changed in the forms.
-
-    In a mixed space, u has other unknowns besides the displacement, and K is a saddle point.
 
     Attributes:
         u: the displacement u_k, or all unknowns of a mixed space, on which the forms depend.
         has_material: whether a function of the user computes coefficients of the forms.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        added_forces: forces [force] at owned degrees of freedom that are added to the load; None:
-            there are none.
+        added_forces: forces [force] at owned degrees of freedom that are added to the load, or
+            None.
         fraction: the continuation parameter t.
     """
 
@@ -74,10 +73,7 @@ class TangentSystem(LinearSystem):
         axisymmetric: bool = False,
         V: Any = None,
     ) -> None:
-        """Compile the forms; nothing is assembled yet. Collective.
-
-        See `NonlinearContactProblem` for the arguments.
-        """
+        """Compile the forms; `NonlinearContactProblem` explains the arguments. Collective."""
         super().__init__(J, F, bcs, entity_maps, V, axisymmetric)
         if u.function_space != self.space:
             raise InputError(
@@ -106,13 +102,7 @@ class TangentSystem(LinearSystem):
         super().destroy()
 
     def update_material(self) -> None:
-        """Compute the material's coefficients by `before_assembly`, once for each u. Collective.
-
-        Raises:
-            StiffnessError: the user's function leaves values that are NaN or infinite.
-            InputError: the user's function changes u.
-            Exception: an error of the user's function, on all ranks.
-        """
+        """Compute the material's coefficients by `before_assembly`, once for each u. Collective."""
         if self._before_assembly is None:
             return
         u = self.u.x.array
@@ -167,10 +157,7 @@ class TangentSystem(LinearSystem):
             self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     def all_forces(self) -> Array:
-        """Return R(u_k) [force] at all owned degrees of freedom. Collective.
-
-        Nothing is assembled at the u of the last call: a step begins where the one before ended.
-        """
+        """Return R(u_k) [force] at all owned unknowns, assembled once for each u. Collective."""
         u = self.u.x.array
         same = self._forces is not None and np.array_equal(u, self._forces[0])
         if self._forces is None or not self.comm.allreduce(same, op=MPI.LAND):
@@ -187,8 +174,7 @@ class TangentSystem(LinearSystem):
 
     def begin(self, contact_forces: Array) -> None:
         """Begin the continuation at the present u_k with contact forces B'lambda. Collective."""
-        owned = self.u.x.array[: len(self.prescribed)]
-        self._prescribed_before = owned[self.prescribed]
+        self._prescribed_before = self.u.x.array[: len(self.prescribed)][self.prescribed]
         self.fraction = 1.0
         self._initial_residual = self.residual(contact_forces)
 
@@ -220,8 +206,7 @@ class TangentProblem(ContactSystem):
     """The contact problem of a Newton step; its unknown is the total displacement, not a change.
 
     Attributes:
-        u: the present displacement u_k, or all unknowns of a mixed space, at which the tangent is
-            taken.
+        u: the present u_k, or all unknowns of a mixed space, at which the tangent is taken.
         tangent: the linear system of a step.
     """
 
@@ -282,16 +267,10 @@ class TangentProblem(ContactSystem):
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
-        Nothing is done if no stiffness is to be added, and the tangent at this u_k is factored
-        already.
-
         Args:
             springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
                 single node of the reference tangent.
             proximal: factor with which the reference tangent is added, beside springs.
-
-        Raises:
-            StiffnessError: K is not symmetric, or is indefinite in spite of the added stiffness.
         """
         self.tangent.update_material()
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
@@ -314,9 +293,8 @@ class TangentProblem(ContactSystem):
         """Return the springs B_a'C B_a and their forces; B_a are the rows of B in contact.
 
         The springs pull to the jumps t that contact prescribes, the gap and the slip origin, with
-        the forces B_a'C (t - B_a u_k) at owned unknowns. So they exert no force where contact
-        holds, and do not change the solution of the step there. The factor is the stiffness C of a
-        spring relative to the stiffness of the row's node. Collective.
+        the forces B_a'C (t - B_a u_k), which vanish where contact holds. The factor is the
+        stiffness C of a spring relative to the stiffness of the row's node. Collective.
         """
         jump, tangent = self.jump, self.tangent
         u = fem.Function(tangent.space)
@@ -347,10 +325,9 @@ class TangentProblem(ContactSystem):
     def _rows_in_contact(self) -> Mask:
         """Return a mask (size,) of the rows of B in contact at the present u_k. Collective.
 
-        The multipliers decide: normal rows of pressed nodes, tangential rows of sticking nodes
-        (with the bounds of the present pressures, and curves of friction at zero slip) and all rows
-        of bonded pairs are in contact. If all multipliers are zero, normal rows of nodes that touch
-        are in contact.
+        They are normal rows of pressed nodes, tangential rows of sticking nodes (with the bounds of
+        the present pressures, and curves of friction at zero slip) and all rows of bonded pairs, or
+        without any multipliers normal rows of nodes that touch.
         """
         jump, multipliers = self.jump, self.state.multipliers
         lam = jump.bounded(self.slip_bounds()).section(multipliers)
@@ -370,8 +347,8 @@ class TangentProblem(ContactSystem):
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:
         """Return the reference tangent times a factor. Collective.
 
-        Rows and columns of prescribed degrees of freedom are zero. Rows and columns of unknowns
-        other than displacements are zero, too: stiffness added to them would change constraints.
+        All rows and columns but those of free displacements are zero: stiffness would change
+        constraints.
         """
         with replaced([self.u], [self._reference]):
             self.tangent.assemble_stiffness()
@@ -382,11 +359,7 @@ class TangentProblem(ContactSystem):
         return stiffness
 
     def begin(self) -> None:
-        """Prepare a solve: return to the accepted state, and align the rows of B. Collective.
-
-        Tangent vectors are rotated to the axes of the slip bounds only here, and not in Newton
-        steps.
-        """
+        """Return to the accepted state, and align the rows of B for all steps. Collective."""
         before = self.state.motions
         self.begin_solve()
         accepted = self.state.accepted
@@ -406,12 +379,8 @@ class TangentProblem(ContactSystem):
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
 
-        Obstacles are at the end of their motion until a fraction less than 1 is tried. The present
-        u and contact forces are then those at the start of the solve.
-
-        Raises:
-            PairingError: the surfaces cannot be paired.
-            StiffnessError: a solve with K failed.
+        Obstacles are at the end of their motion until a fraction less than 1 is tried, at the u and
+        contact forces of the start of the solve.
         """
         if fraction < 1.0 and not self._loads_in_parts:
             self._place_obstacles(0.0)
@@ -433,19 +402,18 @@ class TangentProblem(ContactSystem):
         self.obstacles.place(self._places[1])
 
     def residual_norm(self) -> float:
-        """Return |R(u_k) + B'lambda - h|_{K^-1}; NaN if forces are not finite. Collective.
+        """Return |R(u_k) + B'lambda - h|_{K^-1}, see `TangentSystem`; NaN if not finite.
 
-        See `TangentSystem` for R and h. This is the energy norm of the displacement that would
-        remove the residual at unchanged contact forces. The tangent is the one of the previous
-        step, so this displacement is a simplified Newton correction (Deuflhard 2011, Newton methods
-        for nonlinear problems, 2.1.1).
+        The tangent K is the one of the previous step, so this is the energy norm of a simplified
+        Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
+        Collective.
         """
         return self.norm_of_correction(self.tangent.residual(self.contact_forces()))
 
     def norm_of_correction(self, forces: Array) -> float:
-        """Return |F|_{K^-1} for forces F [force] at owned degrees of freedom. Collective.
+        """Return |F|_{K^-1} for forces F [force] at owned unknowns, NaN if not finite. Collective.
 
-        The result is NaN if F is not finite. In a mixed space, it is the `energy_norm` of K^-1 F.
+        In a mixed space, it is the `energy_norm` of K^-1 F.
         """
         force = self.jump.matrix.createVecRight()
         force.array = forces
@@ -453,17 +421,16 @@ class TangentProblem(ContactSystem):
             return math.nan
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
-        solver = self.compliance.solver
-        solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
+        self.compliance.solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
         if self._reference_block is not None:
             correction.x.scatter_forward()
             return self.energy_norm(correction.x.array)
         return math.sqrt(max(float(force.dot(motion)), 0.0))
 
     def is_large(self, error: float, *displacements: Array) -> bool:
-        """Return whether an error is more than that of a rough solution or of rounding. Collective.
+        """Return whether an error in `energy_norm` is neither rough, relative to u, nor rounding.
 
-        The error is an `energy_norm`, and NaN is large. It is compared to values of u, with ghosts.
+        NaN is large. The displacements are values of u with ghosts. Collective.
         """
         size = max(map(self.energy_norm, displacements))
         limit = max(ROUGH * size, self.rounding_norm())
@@ -472,25 +439,23 @@ class TangentProblem(ContactSystem):
     def rounding_norm(self) -> float:
         """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
 
-        It is `ROUNDING` sqrt(n u_k'D u_k + |x|_K^2), where D is the diagonal of K in rows of
-        displacements, n is the mean number of entries in a row, and x is the position relative to
-        the middle of all nodes. A force is the sum of n terms of the size D_i |u_i|, and the
-        rounding errors of n terms add up to sqrt(n) times one of them; and (K^-1)_ii >= 1 / D_i.
-        Stresses that depend on the deformation gradient, the gradient of x + u_k, are rounded as if
-        the strains had the size 1. A rigid motion has such rounding errors, but no energy.
+        It is `ROUNDING` sqrt(n u_k'D u_k + |x|_K^2), with the diagonal D of K in rows of
+        displacements, the mean number n of entries in a row, and the position x. A force is the sum
+        of n terms of the size D_i |u_i|, whose rounding adds up to sqrt(n) times that of one; and
+        (K^-1)_ii >= 1 / D_i. Stresses that depend on the gradient of x + u_k are rounded as if the
+        strains had the size 1.
         """
         K, moves = self.tangent.K, self.tangent.moves
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
-        diagonal = K.getDiagonal()
-        terms = np.abs(diagonal.array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
+        terms = np.abs(K.getDiagonal().array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
         total = entries * self.comm.allreduce(float(terms.sum()))
         return ROUNDING * math.hypot(math.sqrt(total), self._norm(self._position()))
 
     def _position(self) -> fem.Function:
-        """Return the displacement [length] that is the position of each node. Collective.
+        """Return the positions of nodes from the middle of all, as a displacement [length].
 
-        The position is relative to the middle of all nodes: terms of F may resist a translation. In
-        a body of revolution a radial translation is a strain, and the radius is not changed.
+        Terms of F may resist a translation. In a body of revolution a radial translation is a
+        strain, and the radius is not changed. Collective.
         """
         V = self.tangent.V
         nodes, x = V.dofmap.index_map, V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
@@ -516,11 +481,9 @@ class TangentProblem(ContactSystem):
     def energy_norm(self, values: Array) -> float:
         """Return sqrt(v'K v) for the values of v on this rank, with ghosts. Collective.
 
-        K is the tangent that was assembled last. In a mixed space it is the norm of the
-        displacement, with the block of displacements of the tangent at the start of the solve: the
-        block of a later tangent may be indefinite for displacements that change the volume. A step
-        solves for the other unknowns as exactly as for displacements: an error of theirs alone is
-        gone after one step.
+        K is the tangent that was assembled last. In a mixed space it is the block of displacements
+        at the start of the solve: that of a later tangent may be indefinite for displacements that
+        change the volume. An error of the other unknowns alone is gone after one step.
         """
         v = fem.Function(self.tangent.space)
         v.x.array[:] = values

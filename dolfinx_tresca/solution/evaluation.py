@@ -16,9 +16,11 @@ from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
+from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields
 from dolfinx_tresca.solution.forces import (
     Resultant,
@@ -26,9 +28,10 @@ from dolfinx_tresca.solution.forces import (
     resultants_between,
     resultants_on,
 )
-from dolfinx_tresca.solvers.convergence import energy_norm, relative_error
+from dolfinx_tresca.solvers.convergence import BALANCED, energy_norm, relative_error
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
+from dolfinx_tresca.status import ContactStatus
 
 
 @dataclass(frozen=True)
@@ -63,13 +66,7 @@ class NodeCounts:
 
 
 class PairState(NamedTuple):
-    """How far a pair is closed.
-
-    Attributes:
-        pressed: number of nodes with pressure.
-        nodes: number of nodes.
-        opening: largest distance by which its sides have moved apart [length].
-    """
+    """How far a pair is closed; `opening` is by how much its sides have moved apart at most."""
 
     pressed: int
     nodes: int
@@ -126,8 +123,7 @@ def evaluate(
 ) -> tuple[Evaluation, SlipHistory]:
     """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
 
-    The discretisation error is estimated on request. The slip history that is returned is the one
-    after this solution, if it becomes a load step.
+    The slip history that is returned is the one after this solution, if it becomes a load step.
     """
     B, comm = dual.jump, dual.jump.comm
     lam = dual.bounds(solution.multipliers, solution.gradient)
@@ -148,8 +144,7 @@ def evaluate(
     origin = dual.history.origin.copy()  # the next step starts from where tools are now
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     target = dual.decoupled_minimiser(solution.multipliers, r)
-    cones = dual.admissible.at_point(solution.multipliers, r)
-    moved = cones.section(target)
+    moved = dual.admissible.at_point(solution.multipliers, r).section(target)
     stick = moved.face(target).stick
     slip = np.zeros_like(jump)
     slips = lam.tangential[~stick[lam.node]]
@@ -180,8 +175,8 @@ def evaluate(
     node_counts, pressed_counts, tangential_counts = reduce_array(comm, numbers).T.tolist()
     for pair, surface, tangential_count in zip(pairs, surfaces, tangential_counts, strict=True):
         operators, nodes = pair.operators, pair.nodes
-        pressure = np.zeros(len(nodes))
-        pressure[operators.normal_node] = stress[pair.normal]
+        tractions = pair.nodal_vectors(stress)
+        pressure, traction = tractions[:, 0], tractions[:, 1:]
         values = {
             "pressure": pressure,
             "gap": operators.gap - closing[nodes],
@@ -189,9 +184,8 @@ def evaluate(
             "state": states[nodes],
             "normal": operators.normals,
         }
-        traction = operators.tangential_vectors(stress[pair.tangential])
         if tangential_count > 0:
-            since = operators.tangential_vectors(increment[pair.tangential])
+            since = pair.nodal_vectors(increment)[:, 1:]
             values["traction"] = traction
             values["slip"] = before[nodes, :-1] + since
             values["slip_path"] = paths[nodes]
@@ -199,7 +193,7 @@ def evaluate(
                 values["slip_increment"] = since
         fields.append(surface.fields(operators, u, values))
         openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
-        force += operators.weights @ np.column_stack([pressure, traction])
+        force += operators.weights @ tractions
         vectors = pressure[:, None] * operators.normals + traction
         forces.append(-operators.weights[:, None] * vectors)
     steps_of_pairs = [steps[nodes] for nodes in B.nodes]
@@ -282,9 +276,8 @@ def node_values(
         change: largest change of a node's tractions that the iteration leaves [stress].
 
     Returns:
-        the states (n,), values of `ContactState`; slip vectors and increments of the slip paths
-        (n, d + 1) of this step [length]; those of all earlier steps; and the number of nodes in
-        each state, on all ranks.
+        the states (n,); slip vectors and increments of the slip paths (n, d + 1) of this step
+        [length]; those of all earlier steps; and the number of nodes in each state, on all ranks.
     """
     B, node = dual.jump, dual.jump.row_nodes[normal]
     numbers = [len(pair.nodes) for pair in B.pairs]
@@ -309,9 +302,9 @@ def node_values(
     }
     values = [float(state) for state in conditions]
     states = np.select(list(conditions.values()), values, float(ContactState.OPEN))
-    of_pairs = list(zip(B.pairs, B.slices, dual.history.slipped, strict=True))
-    vectors = np.vstack([pair.tangential_vectors(moved_by[t]) for pair, (_, t), _ in of_pairs])
-    before = np.vstack([slipped[pair.nodes] for pair, _, slipped in of_pairs])
+    vectors = np.vstack(B.nodal_vectors(moved_by))[:, 1:]
+    slips_before = zip(B.pairs, dual.history.slipped, strict=True)
+    before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
     counted = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
@@ -319,10 +312,43 @@ def node_values(
     return states, np.column_stack([vectors, counted]), before, NodeCounts(*map(int, sums))
 
 
+def status_of_fields(
+    dual: DualProgram,
+    solution: DualSolution,
+    evaluation: Evaluation,
+    options: SolverOptions,
+    requested: SolverOptions,
+) -> ContactStatus:
+    """Return the status of a solve from its fields, which are what the user gets. Collective.
+
+    The bound of their error, from the last multipliers, may be larger than that of the iteration:
+    then rounding prevents the accuracy that `options` ask for. It may also be small enough for what
+    the user requested although the iteration, whose `options` may ask for more, ended early.
+    """
+    if solution.status is ContactStatus.STOPPED:
+        return ContactStatus.STOPPED
+    error = evaluation.energy_error_bound
+    ended_early = solution.status is not ContactStatus.CONVERGED
+    if not ended_early and not error > SLACK * solution.wanted:
+        return ContactStatus.CONVERGED
+
+    # the bound of the error is that of multipliers in equilibrium
+    balanced = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
+    if requested.rtol is not None:
+        as_requested = solution.residuals[-1] <= requested.rtol and requested != options
+    elif requested.balanced:  # by an estimate of the mesh's error, which the iteration knows
+        as_requested = False
+    else:
+        as_requested = error <= SLACK * float(requested.accuracy)
+    if balanced and as_requested:
+        return ContactStatus.CONVERGED
+    return solution.status if ended_early else ContactStatus.STAGNATED
+
+
 def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """Return the largest change of a slip bound, relative to the largest bound. Collective.
 
-    The bounds change as the tractions of each node move to the node's own minimiser, see
+    The tractions of each node move to the node's own minimiser, see
     `DualProgram.decoupled_minimiser`.
     """
     finite = np.isfinite(lam.radius)

@@ -13,13 +13,13 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
-import dolfinx.la
 from dolfinx import fem
 
 from dolfinx_tresca._base import compat
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
 from dolfinx_tresca._base.functions import nodes_of_vertices, zero_like
+from dolfinx_tresca._base.parallel import summed_at_nodes
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.contact_operators import ContactOperators
@@ -183,12 +183,9 @@ class Surface:
     Attributes:
         mesh: the facets of the secondary side, and those of the pairs that share the mesh.
         scalar: a scalar Function of degree 1 on `mesh`, the original of all others.
-        vector: a vector Function of degree 1 on `mesh`, with the dimension of space, likewise.
+        vector: a vector Function of degree 1 on `mesh`, likewise.
         parent: (nodes of `scalar`, with ghosts) local number of the node of V at each node.
-        work: a Function in V through which values reach ghosts; its own values have no meaning. All
-            surfaces share it.
-        pair: the pair of this secondary side.
-        entity_maps: maps between the facets of the problem's mesh and `mesh`.
+        work: a Function in V through which values reach ghosts, shared by all surfaces.
     """
 
     mesh: Any
@@ -232,11 +229,7 @@ class Surface:
     def function(self, name: str, nodes: LocalNumbers, values: Array) -> fem.Function:
         """Return a Function on the surface, scalar or vector, of degree 1. Collective.
 
-        Args:
-            name: name of the Function.
-            nodes: (n,) local numbers, in V, of nodes that this rank owns.
-            values: (n,) or (n, d) values at these nodes. All other nodes have the value zero, or
-                the state OUTSIDE.
+        Nodes of V that this rank owns have values (n,) or (n, d), others zero or the state OUTSIDE.
         """
         dim = self.mesh.geometry.dim
         columns, original = (dim, self.vector) if values.ndim == 2 else (1, self.scalar)
@@ -254,22 +247,17 @@ class Surface:
         own = self.scalar.function_space.dofmap.index_map.size_local
         V, values = self.work.function_space, function.x.array.reshape(-1, columns)[:own]
         # the rank that owns a node of V may have no cell of the surface at this node
-        whole = fem.Function(V)
-        rows = whole.x.array.reshape(-1, self.mesh.geometry.dim)
-        rows[self.parent[:own], :columns] = values
-        whole.x.scatter_reverse(dolfinx.la.InsertMode.add)
-        whole.x.scatter_forward()
-        density = rows[operators.nodes]
+        whole = summed_at_nodes(V.dofmap.index_map, self.parent[:own], values)
         across = ContactOperators(V, operators, self.pair)
-        return across.on_both_sides(density, function.name, scalar=function.ufl_shape == ())
+        is_scalar = function.ufl_shape == ()
+        return across.on_both_sides(whole[operators.nodes], function.name, scalar=is_scalar)
 
     def fields(
         self, operators: PairOperators, u: fem.Function, values: Mapping[str, Array]
     ) -> SurfaceFields:
-        """Return the fields of a solution. Collective.
+        """Return the fields of a solution from values (n,) or (n, d) at nodes. Collective.
 
-        The keys of the values (n,) or (n, d) at the nodes of the pair are names of fields in
-        `SurfaceFields`. Fields of friction, and the slip of a first step, may be absent.
+        Fields of friction, and the slip of a first step, may be absent.
         """
         functions: dict[str, Any] = dict.fromkeys(("traction", "slip", "slip_path"))
         functions |= {
@@ -297,13 +285,11 @@ class Surface:
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
-    """Return slip vectors and paths (n, d + 1) [length] from a solution on another mesh, by pair.
+    """Return slip vectors and paths (n, d + 1) [length] from another mesh, by pair. Collective.
 
-    They are interpolated on the nearest facets, of the facets that have a node with multipliers.
-    Nodes of the other mesh without a multiplier have no slip and are left out of the interpolation.
-    At points on the facets linear fields are reproduced exactly, for instance at the midpoints of
-    edges, where refined meshes have nodes. Values are zero at points whose distance from the
-    surface exceeds the longest edge of the surface. Collective.
+    They are interpolated on the nearest facets that have a node with multipliers; other nodes are
+    left out. Linear fields are exact, for instance at the midpoints of edges, where refined meshes
+    have nodes. Values are zero farther from the surface than its longest edge.
     """
     x = jump.system.V.tabulate_dof_coordinates()
     counts = [len(pair.nodes) for pair in jump.pairs]
@@ -329,10 +315,7 @@ def _slips_at(fields: SurfaceFields, points: Array) -> Array:
 
 
 def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
-    """Return distance, slip vector and path (n, d + 2) at the points of facets nearest to points.
-
-    The facets are those of this rank; without any, distances are infinite. Not collective.
-    """
+    """Return distance, slip and path (n, d + 2) at points of this rank's nearest facets."""
     mesh, V = fields.mesh, fields.pressure.function_space
     assert fields.slip is not None and fields.slip_path is not None
     carries = zero_like(fields.pressure, "carries")

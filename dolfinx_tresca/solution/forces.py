@@ -65,10 +65,7 @@ class BoltForce(NamedTuple):
 
 
 def moments(arm: Array, force: Array) -> Array:
-    """Return the moments (..., 3) of forces (..., 3) with arms (..., 3). Not collective.
-
-    In 2D moments are (..., 1), forces and arms (..., 2).
-    """
+    """Return moments (..., 3), in 2D (..., 1), of forces (..., d) with arms (..., d)."""
     turning = np.cross(in_space(arm), in_space(force)).astype(np.float64)
     return turning if force.shape[-1] == 3 else turning[..., 2:]
 
@@ -76,7 +73,7 @@ def moments(arm: Array, force: Array) -> Array:
 def resultants_on(
     comm: Any, places: Array, forces: Array, index: Indices, number: int, point: Array
 ) -> tuple[Resultant, ...]:
-    """Return resultants of forces (n, d) at places (n, d), with moments about a point. Collective.
+    """Return resultants of forces (n, d) at places (n, d), about a point. Collective.
 
     The index (n,) says to which of the resultants, of a given number, each force belongs.
     """
@@ -92,9 +89,9 @@ def nodal_resultants(
 ) -> tuple[Resultant, ...]:
     """Return resultants of nodal forces about the middle of their points. Collective.
 
-    This is the centre of the bounding box of all points with forces; without forces, the origin.
-    Forces are those at owned degrees of freedom. They act on the displaced nodes, or with None on
-    the undeformed bodies, as in linear theory; see `resultants_on` for index and number.
+    This is the centre of the box of all points with forces; without forces, the origin. Forces act
+    on the displaced nodes, or with None on the undeformed bodies; for index and number see
+    `resultants_on`.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     rows = forces.reshape(-1, dim)
@@ -114,9 +111,8 @@ def resultants_between(
     """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
     Forces of obstacles, and forces within a body, are left out. Moments are about the mean of the
-    points at which the forces between the two bodies act, weighted by the sizes of the forces.
-    Forces (n, d) are those on the secondary nodes of each pair, and the label (owned nodes,) is the
-    body of each node.
+    points at which the forces act, weighted by their sizes. Forces (n, d) act on the secondary
+    nodes of each pair; the label (owned nodes,) is the body of a node.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     # opposite primary nodes exert a share of the force on a secondary node
@@ -151,10 +147,8 @@ class Supports:
 
     Attributes:
         residual: internal minus external forces at u, a form of rank 1.
-        system: the linear system, with the Dirichlet conditions.
         u: the displacement in this form; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
-        facet_tags: tags of facets, for supports that are given by a tag.
     """
 
     residual: ufl.Form
@@ -173,8 +167,8 @@ class Supports:
     ) -> Resultant:
         """Return the force and moment of a support, see `ContactProcess.reaction`. Collective.
 
-        Forces act at the places that have moved, or with None at the undeformed places. The frames
-        are those of linear bodies that have turned.
+        Forces act at places that have moved, or None, with the frames of linear bodies that have
+        turned.
         """
         V, u = self.contact_force.function_space, self.u
         if u.function_space.element != V.element:
@@ -213,8 +207,8 @@ class Supports:
     def _rounding(self) -> float:
         """Return the size of rounding errors of the forces [force]. Collective.
 
-        Bodies that have moved freely have no forces but these. Internal forces of displacements
-        that are opposite at neighbouring nodes tell how large they are.
+        Internal forces of displacements that are opposite at neighbouring nodes tell how large it
+        is.
         """
         u = self.u
         opposite = fem.Function(u.function_space)
@@ -226,10 +220,7 @@ class Supports:
         return 1e-10 * largest
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:
-        """Return whether a support holds each owned degree of freedom, and its springs. Collective.
-
-        The springs are their terms in the residual; None: there are none.
-        """
+        """Return which owned degrees of freedom a support holds, and its springs. Collective."""
         V = self.contact_force.function_space
         held = np.zeros(len(self.system.prescribed), dtype=np.bool_)
         tag, springs = integer(where), []

@@ -69,13 +69,9 @@ ADVICE_TO_PAIRS = (
 
 
 class Departure(NamedTuple):
-    """A measure of how far a solution has left linear theory.
+    """A measure of how far a solution has left linear theory, with its limits.
 
-    Attributes:
-        value: the measure.
-        limit: the limits of the measure.
-        text: name and motion of the body or the pair, with figures.
-        advice: possible changes of the scene.
+    The text names the body or the pair and its motion; the advice is a change of the scene.
     """
 
     value: float
@@ -85,7 +81,7 @@ class Departure(NamedTuple):
 
 
 def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set[Limit]) -> str:
-    """Return why a solution is outside of the theory; empty if it is inside. Collective.
+    """Return why a solution is outside of the theory, or "". Collective.
 
     Departures within the limits are logged once: `noticed` has the limits of those that were.
     """
@@ -137,17 +133,17 @@ def motions_of_pairs(
 ) -> Iterator[Departure]:
     """Return the departures of pairs with small sliding. Collective.
 
-    Pairs with finite sliding, bonded pairs, and pairs with a plane, which has the same normal
-    everywhere, are left out, except for the rotation of obstacles that forces hold. The surfaces
-    were paired at the displacement `paired`. In the solution u, tractions are (size,) [stress], and
-    obstacles have the motions (pairs, 3, 4).
+    Bonded pairs, and pairs with a plane, which has the same normal everywhere, are left out, except
+    for the rotation of obstacles that forces hold. The surfaces were paired at the displacement
+    `paired`. In the solution u, tractions are (size,) [stress], and `places` the motions (pairs, 3,
+    4).
     """
     V, moved = u.function_space, u.copy()
     moved.x.array[:] -= paired.x.array
     vectors = jump.vectors(moved)
     shape = straightened(V, paired.x.array.reshape(-1, V.dofmap.index_map_bs))
-    for pair, operators, jumps, (normal_rows, _), place in zip(
-        pairs, jump.pairs, vectors, jump.slices, places, strict=True
+    for pair, operators, jumps, stress, place in zip(
+        pairs, jump.pairs, vectors, jump.nodal_vectors(tractions), places, strict=True
     ):
         if pair.obstacle is not None:
             start, end = pair.obstacle.motion, RigidMotion.from_matrix(place)
@@ -158,9 +154,7 @@ def motions_of_pairs(
             jumps -= _carried(operators.places, start, end)
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
-        force = np.zeros(len(operators.nodes))
-        rows = operators.normal_node
-        force[rows] = operators.weights[rows] * np.maximum(tractions[normal_rows], 0.0)
+        force = operators.weights * np.maximum(stress[:, 0], 0.0)
         yield from _motions_of_pair(V, pair, operators, jumps, force, shape)
 
 
@@ -175,13 +169,8 @@ def _motions_of_pair(
 ) -> Iterator[Departure]:
     """Return the departures of a pair. Collective.
 
-    Args:
-        V: the space of the displacement.
-        pair: the pair.
-        operators: operators of the pair.
-        jumps: (n, d) jumps of the displacement since the pairing [length].
-        force: (n,) normal forces of the nodes.
-        shape: (nodes, d) displacement at which the surfaces were paired [length].
+    The jumps (n, d) [length] count from the pairing at the displacement `shape` (nodes, d)
+    [length], and nodes have the normal forces (n,).
     """
     comm, normals = V.mesh.comm, operators.normals
     slips = jumps - dots(jumps, normals)[:, None] * normals
@@ -211,10 +200,7 @@ def _motions_of_pair(
 
 
 def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
-    """Return whether nodes (n,) displaced by jumps (n, d) lie over the primary side. Collective.
-
-    An opposed primary facet is then not farther from the node than the size of the node's area.
-    """
+    """Return whether displaced nodes (n,) have an opposed facet within their size. Collective."""
     points, normals = in_space(operators.places + jumps), in_space(operators.normals)
     reach = operators.sizes
     pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
@@ -262,10 +248,7 @@ def hint_at_overlap(
     jump: JumpOperator,
     surfaces: Sequence[SurfaceFields],
 ) -> None:
-    """Warn where prescribed displacements push the sides of pairs into each other. Collective.
-
-    The fields of the surfaces have the places of obstacles that forces have moved.
-    """
+    """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
     (extent,) = largest_sizes(comm, points)
     rounding = ROUNDING * extent
@@ -299,8 +282,8 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
 
     With such bounds there may be several solutions. A decrease with the slip is harmless if its
     rate is less than 1 divided by the largest eigenvalue of A, both at the present slip and on
-    average between zero and the present slip. (1 divided by this eigenvalue is the least traction
-    that elastic bodies need for one more unit of slip.)
+    average from zero to it: this is the least traction that elastic bodies need for one more unit
+    of slip.
 
     Args:
         comm: the communicator.

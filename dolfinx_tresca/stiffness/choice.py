@@ -35,16 +35,7 @@ CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
 @dataclass(frozen=True)
 class SolverRequest:
-    """How the user wants to solve with K.
-
-    Attributes:
-        method: "cholesky", "multigrid" or "auto".
-        petsc_options: PETSc options of the solver for K, with precedence over the defaults; None:
-            there are none.
-        prefix: prefix of the options that the command line gives to this solver; None: there is
-            none.
-        expected_solves: number of contact solves with the same K, approximately.
-    """
+    """How the user wants to solve with K; see `ContactProblem`."""
 
     method: StiffnessMethod = "auto"
     petsc_options: Mapping[str, Any] | None = None
@@ -68,14 +59,8 @@ class SolverRequest:
     ) -> tuple[ChosenMethod, str]:
         """Return the name of the solver for K, and the reason for the choice. Not collective.
 
-        The choice is logged if the method is "auto".
-
-        Args:
-            size: number of degrees of freedom of a body, averaged over the degrees of freedom
-                instead of over the bodies, so that large bodies decide.
-            dim: dimension of space.
-            comm: communicator of the log.
-            saddle: whether K belongs to a mixed space.
+        The size is the number of unknowns of a body, averaged over the unknowns instead of over the
+        bodies, so that large bodies decide; `saddle` tells that K belongs to a mixed space.
         """
         if self.method == "multigrid" and saddle:
             raise InputError(
@@ -138,10 +123,7 @@ def reference_blas(libraries: Iterable[str]) -> str | None:
 
 @cache
 def openblas_threads() -> Sequence[tuple[Callable[[], int], Callable[[int], None]]]:
-    """Return the functions that get and set the number of threads of each OpenBLAS.
-
-    A process may have several: numpy, scipy and PETSc may each bring its own. Not collective.
-    """
+    """Return functions that get and set the number of threads of each loaded OpenBLAS."""
     functions = []
     for path in filter(BLAS.search, loaded_libraries()):
         library = ctypes.CDLL(path)
@@ -155,10 +137,10 @@ def openblas_threads() -> Sequence[tuple[Callable[[], int], Callable[[int], None
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit OpenBLAS to one thread in a block, unless the environment sets a number of threads.
+    """Limit OpenBLAS to one thread in a block, unless the environment sets a number.
 
     The products of the contact algorithm are so small that threads cost more time than they save,
-    and threads that wait take cores away from other ranks. Not collective.
+    and threads that wait take cores away from other ranks.
     """
     limited = [] if THREAD_VARIABLES & os.environ.keys() else openblas_threads()
     counts = [get() for get, _ in limited]

@@ -33,10 +33,7 @@ from dolfinx_tresca.errors import InputError, StiffnessError
 
 
 def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) -> Any:
-    """Return a form of UFL compiled, and any other object unchanged. Collective.
-
-    Functions on other meshes than the problem's need entity maps. Errors name the form.
-    """
+    """Return a form of UFL compiled, and any other object unchanged. Collective."""
     if not isinstance(form, ufl.Form):
         return form
     for coefficient in form.coefficients():
@@ -63,10 +60,7 @@ def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) ->
 
 
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:
-    """Return this rank's present values of the coefficients and constants of a UFL form.
-
-    For other objects than UFL forms the list is empty. Not collective.
-    """
+    """Return this rank's values of coefficients and constants of a UFL form; else none."""
     if not isinstance(form, ufl.Form):
         return []
     functions = [function.x.array for function in form.coefficients()]
@@ -78,10 +72,7 @@ CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def has_stresses(L: Any) -> bool:
-    """Return whether a linear form has derivatives of its test function. Not collective.
-
-    Such loads, as of thermal strains, are stresses inside the bodies.
-    """
+    """Return whether a form L has derivatives of its test function, as of thermal strains."""
     if not isinstance(L, ufl.Form):
         return False
     integrals = apply_derivatives(apply_algebra_lowering(L)).integrals()
@@ -95,16 +86,8 @@ def has_stresses(L: Any) -> bool:
 def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     """Return the space of the forms, after a check that forms and conditions suit contact.
 
-    Args:
-        a: a UFL form, a compiled form, or a matrix.
-        L: a UFL form, a compiled form, or None.
-        bcs: Dirichlet conditions.
-        V: the space of the forms if none of them is a UFL form. With UFL forms it is needed only if
-            several sub-spaces of a mixed space suit displacements: V is then the sub-space of the
-            displacement.
-
-    Raises:
-        InputError: forms and conditions do not fit together, or do not suit contact.
+    V is needed if neither a nor L is a form of UFL, or if several sub-spaces of a mixed space suit
+    displacements: it is then the sub-space of the displacement.
     """
     given = "a UFL form, {}, or a compiled form together with V="
     one_space = " Of several unknowns make one space, with basix.ufl.mixed_element."
@@ -146,8 +129,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         )
     for number, bc in enumerate(bcs):
         kind = "a Dirichlet condition of type float64, as dolfinx.fem.dirichletbc(...) makes it"
-        condition = getattr(bc, "_cpp_object", bc)
-        check_type(f"bcs[{number}]", condition, DirichletBC_float64, kind)
+        check_type(f"bcs[{number}]", getattr(bc, "_cpp_object", bc), DirichletBC_float64, kind)
         if not contains(space, bc):
             raise InputError(
                 f"bcs[{number}] is on another function space than the forms: take V, or V.sub(i)."
@@ -169,10 +151,7 @@ def _is_part(V: Any, space: Any) -> bool:
 
 
 def component_index(space: Any, V: Any = None) -> int | None:
-    """Return the index of the displacement's sub-space; None if the space is not mixed.
-
-    This is V, or without V the only sub-space that suits displacements.
-    """
+    """Return the index of the displacement's sub-space, V or the only one that suits, or None."""
     dim, element = space.mesh.geometry.dim, space.ufl_element()
     if _suits(element, dim):
         return None
@@ -244,8 +223,7 @@ class Component:
 
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the component's block of K, numbered like V; the caller owns it. Collective."""
-        columns = self._parts.copy().transpose()
-        return K.ptap(columns)
+        return K.ptap(self._parts.copy().transpose())
 
 
 def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
@@ -297,10 +275,7 @@ def check_hoop_stiffness(K: PETSc.Mat) -> None:
 
 
 def check_symmetry(K: PETSc.Mat, cure: str) -> None:
-    """Check that K x = K'x for an oscillating vector x, which is cheaper than K - K'. Collective.
-
-    The message ends with the cure.
-    """
+    """Check that K x = K'x for an oscillating x, which is cheaper than K - K'. Collective."""
     x, Kx = K.createVecs()
     x.array = np.cos(12.9898 * np.arange(*x.getOwnershipRange()))
     K.mult(x, Kx)
@@ -317,9 +292,8 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
 def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
     """Check that C of a saddle-point matrix (A, B'; B, -C) has no negative diagonal entry.
 
-    The pivots do not show this: if C is negative, the matrix may have the same number of negative
-    pivots. The mask tells the free owned unknowns that are no displacement, where K has -C.
-    Collective.
+    The pivots do not show this. The mask tells the free owned unknowns that are no displacement,
+    where K has -C. Collective.
     """
     entries = K.getDiagonal().array[not_displacement]
     largest = K.comm.tompi4py().allreduce(float(entries.max(initial=-np.inf)), op=MPI.MAX)

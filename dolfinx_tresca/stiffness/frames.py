@@ -26,19 +26,19 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, in_space
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies, label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
+from dolfinx_tresca.scene.friction import Bonded
+from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 
 @dataclass(frozen=True)
 class BodyFrames:
-    """The frame of each body of a mesh.
-
-    Bodies without a frame have R = 1 and t = 0, so that v = u.
+    """The frame of each body of a mesh; bodies without a frame have R = 1 and t = 0.
 
     Attributes:
         V: the space of the displacement.
@@ -63,23 +63,22 @@ class BodyFrames:
 
     @classmethod
     def at_rest(
-        cls, system: Any, bodies: Bodies, fixed_surfaces: Sequence[LocalNumbers]
+        cls, system: Any, bodies: Bodies, pairs: Sequence[ContactPair]
     ) -> BodyFrames | None:
         """Return the frames of undeformed bodies; None if no body can have a frame. Collective.
 
-        A body has no frame if it is a body of revolution in its meridian, or one of a mixed space;
-        if directions of prescribed displacements let it turn about no axis; if K resists its rigid
-        motions, as with springs that tie it to a place in space; or if L has derivatives of the
-        test function, which are stresses inside the bodies and would turn with them.
-
-        Args:
-            system: a `LinearSystem` with K assembled.
-            bodies: the bodies of its mesh.
-            fixed_surfaces: numbers of the nodes of surfaces with small sliding, whose normals do
-                not turn; their bodies have no frames.
+        There are frames with finite sliding alone. A body has no frame if it is nonlinear, a body
+        of revolution in its meridian, or one of a mixed space; if directions of prescribed
+        displacements let it turn about no axis; if K, which is assembled, resists its rigid
+        motions, as with springs that tie it to a place in space; if L has derivatives of the test
+        function, which are stresses inside the bodies and would turn with them; or if it has nodes
+        on surfaces with small sliding, whose normals do not turn.
         """
         V, number = system.V, bodies.number
-        if system.component is not None or system.axisymmetric or has_stresses(system.loads):
+        slides_far = any(pair.sliding == "finite" for pair in pairs)
+        if not slides_far or system.is_tangent or system.component is not None:
+            return None
+        if system.axisymmetric or has_stresses(system.loads):
             return None
         owned, dim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
         label = label_bodies(V)
@@ -87,8 +86,11 @@ class BodyFrames:
         whole = prescribed.all(axis=1)
         alone = np.zeros((number, 3), dtype=np.int64)  # nodes with a prescribed single component
         np.add.at(alone[:, :dim], label[:owned], prescribed & ~whole[:, None])
-        for nodes in fixed_surfaces:
-            alone[label[nodes]] = 1
+        for pair in pairs:
+            if pair.sliding != "finite" and not isinstance(pair.friction, Bonded):
+                sides = [pair.secondary, *([] if pair.obstacle else [pair.primary])]
+                facets = np.concatenate([pair.facet_tags.find(side) for side in sides])
+                alone[label[fem.locate_dofs_topological(V, dim - 1, facets)]] = 1
         alone[:] = reduce_array(system.comm, alone)
         axis = np.where((alone > 0) & (alone.sum(axis=1) == alone.max(axis=1))[:, None], 1.0, 0.0)
         has_frame = (np.count_nonzero(alone, axis=1) <= dim - 2) & ~_resisted(system, bodies)
@@ -121,10 +123,7 @@ class BodyFrames:
         return self._points + in_space(u.x.array.reshape(-1, self.V.mesh.geometry.dim))
 
     def _moments(self, x: Array) -> tuple[Array, Array]:
-        """Return the mean (bodies, 3) of positions x of guides, and their moments. Collective.
-
-        The moments (bodies, 3, 3) are the sums of (x - mean) (X - mean)'.
-        """
+        """Return means (bodies, 3) of positions x of guides, and sums of (x - mean) (X - mean)'."""
         comm, label, X = self.V.mesh.comm, self.label[: len(x)], self._points[: len(x)]
         sums = np.zeros((len(self.has_frame), 7))
         np.add.at(sums, label[self.guides], np.column_stack([X, x, np.ones(len(x))])[self.guides])
@@ -138,9 +137,8 @@ class BodyFrames:
     def moved_with(self, u: fem.Function) -> BodyFrames | None:
         """Return the frames that move with a displacement; None if all are at rest. Collective.
 
-        R is the rotation that maps the undeformed guides best, in the least-squares sense, onto
-        their displaced positions (polar decomposition), among the rotations that the body's axis
-        allows.
+        R maps the undeformed guides best, in the least-squares sense, onto their displaced
+        positions (polar decomposition), among the rotations that the body's axis allows.
         """
         owned = len(self.guides)
         mean, moments = self._moments(self._positions(u)[:owned])
@@ -167,12 +165,9 @@ class BodyFrames:
         arm = self._points - self.centre[self.label]
         moved = np.einsum("nij,nj->ni", (self.rotation - np.eye(3))[self.label], arm)
         result = fem.Function(self.V)
-        result.x.array[:] = self._values(moved + self.translation[self.label])
+        moved += self.translation[self.label]
+        result.x.array[:] = moved[:, : self.V.mesh.geometry.dim].ravel()
         return result
-
-    def _values(self, vectors: Array) -> Array:
-        """Return vectors (nodes, 3) as nodal values (nodes * d,)."""
-        return vectors[:, : self.V.mesh.geometry.dim].ravel()
 
     def into_space(self, v: Array) -> Array:
         """Return R v for nodal values (nodes * d,) of this rank, with or without ghosts."""
@@ -211,9 +206,8 @@ class BodyFrames:
     def continued(self, before: fem.Function, after: fem.Function, fraction: float) -> fem.Function:
         """Return a displacement at which bodies have gone on as they moved. Collective.
 
-        The motion of each body from one displacement to another is continued as a rigid motion:
-        its mean goes on straight ahead, and it turns on about the same axis. The fraction is how
-        far they go on from `after`, relative to their last motion.
+        The rigid motion of each body from one displacement to another goes on by a fraction of it:
+        its mean straight ahead, and its rotation about the same axis.
         """
         owned, label = len(self.guides), self.label
         positions = [self._positions(u) for u in (before, after)]
@@ -224,10 +218,9 @@ class BodyFrames:
         arm = positions[1] - means[1][label]
         moved = means[1] + fraction * (means[1] - means[0])
         x = moved[label] + np.einsum("nij,nj->ni", turn[label], arm)
-        result = after.copy()
-        has_frame = np.repeat(self.has_frame[label], self.V.mesh.geometry.dim)
-        values = self._values(x - self._points)
-        result.x.array[has_frame] = values[has_frame]
+        result, has_frame = after.copy(), self.has_frame[label]
+        dim = self.V.mesh.geometry.dim
+        result.x.array.reshape(-1, dim)[has_frame] = (x - self._points)[has_frame, :dim]
         return result
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:

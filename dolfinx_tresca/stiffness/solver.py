@@ -47,9 +47,7 @@ def not_positive_definite(evidence: str) -> StiffnessError:
 
 
 class StiffnessSolver(PetscOwner):
-    """Solves K u = f for many f.
-
-    Owns PETSc objects: call `destroy()`.
+    """Solves K u = f for many f; owns PETSc objects: call `destroy()`.
 
     Attributes:
         name: "cholesky" or "multigrid".
@@ -71,12 +69,11 @@ class StiffnessSolver(PetscOwner):
         Args:
             name: name of the solver for tables.
             K: the matrix.
-            defaults: PETSc options that define the solver.
-            petsc_options: options of the user, which take precedence.
-            prefix: prefix in PETSc's database of options. Options that this database has already,
-                from a command line, take precedence over `defaults`. None: a new prefix.
-            prepare: function that sets up those parts of the preconditioner that options cannot set
-                up.
+            defaults: PETSc options that define the solver, after those of the user and of the
+                command line.
+            petsc_options: options of the user, which take precedence over both.
+            prefix: prefix in PETSc's database of options; None: a new prefix.
+            prepare: function that sets up parts of the preconditioner that options cannot set up.
         """
         self.name, self.comm = name, K.comm
         self.solves = 0
@@ -146,21 +143,15 @@ class StiffnessSolver(PetscOwner):
         Args:
             f: right-hand side.
             u: first guess, from whose best multiple the iteration starts; on return the solution.
-            rtol: relative error in the energy norm at which the iteration stops.
-            accuracy: absolute error in the energy norm, as `error` estimates it, at which the
-                iteration stops as well. Neither `rtol` nor `accuracy` has an effect on a direct
-                solver.
+            rtol: relative error in the energy norm at which an iteration stops.
+            accuracy: absolute error in the energy norm, as `error` estimates it, at which it stops
+                as well.
 
         Returns:
             |u - K^-1 f|_K [energy^(1/2)], estimated as in `error`, but from the residual that the
-            iteration updates, which contains no rounding; 0 for a direct solver. The error is
-            larger than requested if the iteration stopped early: at its largest number of steps, or
-            when rounding broke it down near the solution. The caller must judge whether the error
-            is acceptable.
-
-        Raises:
-            ContactError: the solver was destroyed.
-            StiffnessError: the iteration broke down.
+            iteration updates, which contains no rounding; 0 for a direct solver. The caller must
+            judge it: it is larger than requested if the iteration stopped early, at its largest
+            number of steps, or when rounding broke it down near the solution.
         """
         if self.exact:
             return self.solve(f, u)
@@ -174,10 +165,10 @@ class StiffnessSolver(PetscOwner):
             self._ksp.setInitialGuessNonzero(False)
 
     def _scale_guess(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
-        """Replace u by its multiple nearest to K^-1 f; return whether the multiple is not zero.
+        """Replace u by its multiple nearest to K^-1 f; return whether it is not zero.
 
-        After a change of load a guess may be larger than the solution by many orders of magnitude;
-        rounding of the guess then exceeds the requested accuracy.
+        After a change of load, rounding of a guess that is too large may exceed the requested
+        accuracy.
         """
         Ku = f.duplicate()
         self.matrix.mult(u, Ku)
@@ -189,10 +180,7 @@ class StiffnessSolver(PetscOwner):
         return factor != 0.0
 
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Solve K u = f to the accuracy in the options; return the error as `improve` does.
-
-        Collective.
-        """
+        """Solve K u = f to the accuracy in the options; return the error. Collective."""
         self.check_ready()
         self._ksp.solve(f, u)
         self.solves += 1
@@ -230,10 +218,7 @@ class StiffnessSolver(PetscOwner):
         return error
 
     def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Check, once, that a solve without iteration is exact to rounding. Collective.
-
-        The measure is the backward error |f - K u| / (|K| |u| + |f|), in the maximum norm.
-        """
+        """Check, once, |f - K u| / (|K| |u| + |f|) of a solve without iteration. Collective."""
         size = f.norm(PETSc.NormType.INFINITY)
         if self._measured or not size > 0.0:
             return
@@ -251,20 +236,18 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def uncertainty(self) -> float:
-        """Ratio by which an error in the energy norm may exceed sqrt(r'M^-1 r).
+        """Ratio lambda_min(M^-1 K)^(-1/2) by which an error may exceed sqrt(r'M^-1 r); see `error`.
 
-        Here r is the residual and M the preconditioner. The ratio is lambda_min(M^-1 K)^(-1/2). It
-        is estimated by the Lanczos process in conjugate gradients. The estimate is exact in the
-        limit of many iterations, and too low after few iterations. It is 1 for direct solvers.
+        The Lanczos process in conjugate gradients estimates it, too low after few iterations. It is
+        1 for direct solvers.
         """
         return 1.0 / float(np.sqrt(self._least_eigenvalue))
 
     def error(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
         """Return an estimate of |u - K^-1 f|_K, or 0 for a direct solver. Collective.
 
-        The estimate is sqrt(|r'M^-1 r|) times `uncertainty`, with the residual r and the
-        preconditioner M. It is a bound if `uncertainty` is large enough. If M is indefinite, the
-        value is no estimate.
+        It is sqrt(|r'M^-1 r|) times `uncertainty`, with the residual r and the preconditioner M: a
+        bound if `uncertainty` is large enough, and no estimate if M is indefinite.
         """
         if self.exact:
             return 0.0
@@ -316,22 +299,16 @@ SPARE_WORKSPACE = 200
 def cholesky(
     K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None = 0
 ) -> StiffnessSolver:
-    """Return a solver with the factors of K, or of a saddle-point matrix (A, B'; B, -C).
-
-    Collective.
+    """Return a solver with the factors of K, or of a saddle-point matrix. Collective.
 
     Args:
-        K: the matrix.
+        K: the matrix, or (A, B'; B, -C).
         petsc_options: PETSc options in addition to the defaults.
         prefix: prefix of the user's options in PETSc's database; None: there is none.
-        constraints: number of unknowns other than displacements, such as pressures. The number of
-            negative pivots must equal this number. By Sylvester's law of inertia A + B'C^-1 B is
-            then positive definite; if C is zero, A is positive definite on the vectors u with
-            B u = 0. None: the number is not known; only a pivot that is zero is an error.
-
-    Raises:
-        StiffnessError: the factorisation failed, or the pivots show that K is not positive
-            definite, or that a saddle-point matrix is singular or has the wrong signs.
+        constraints: number of unknowns other than displacements, and of negative pivots: then, by
+            Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C is zero, A on
+            the vectors u with B u = 0. None: the number is not known; only a pivot that is zero is
+            an error.
     """
     options: dict[str, Any] = {
         "ksp_type": "preonly",
@@ -394,18 +371,9 @@ def multigrid(
 
     For degree 2, errors are smoothed on V and on the space of degree 1 on the same mesh, and GAMG
     is applied to the matrix P'KP of the latter, with the interpolation P; for degree 1, GAMG is
-    applied to K. If the options name a `pc_type`, GAMG or another, this preconditioner is applied
-    to K; if they name a smoother, Chebyshev's polynomials complete its options.
-
-    Args:
-        K: the matrix, with the springs of floating bodies, if there are any, and with identity rows
-            and columns for prescribed values.
-        V: the space of the unknowns u.
-        prescribed: (owned degrees of freedom,) whether each is prescribed.
-        petsc_options: options of the user, which take precedence. Options of GAMG and of smoothers
-            apply to all levels; with `mg_coarse_` before their names, only to the levels of GAMG,
-            below degree 1.
-        prefix: prefix of the options in PETSc's database.
+    applied to K. If the options name a `pc_type`, this preconditioner is applied to K; if they name
+    a smoother, Chebyshev's polynomials complete its options. Options of GAMG and of smoothers apply
+    to all levels; with `mg_coarse_` before their names, only to the levels of GAMG, below degree 1.
     """
     # options of the user in the argument and in PETSc's database
     given = {*petsc_options, *(() if prefix is None else PETSc.Options(prefix).getAll())}
@@ -466,8 +434,7 @@ def multigrid(
 def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
     """Set up a preconditioner as multigrid with a level of degree 1 below degree 2. Collective.
 
-    The matrix of the level is P'KP, with the interpolation P between the spaces. It needs no
-    further compiled form, and includes additions to K, such as the springs of floating bodies.
+    The matrix P'KP of the level includes additions to K, such as the springs of floating bodies.
     """
     coarse = fem.functionspace(V.mesh, ("Lagrange", 1, (V.dofmap.index_map_bs,)))
     P = dolfinx.fem.petsc.interpolation_matrix(coarse, V)
@@ -495,11 +462,7 @@ def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
-    """Tell GAMG the rigid body modes, as the near-nullspace of a matrix on a space. Collective.
-
-    Each mode moves all bodies together as one rigid body, so it is a rigid motion of each body,
-    too: one set of modes serves any number of bodies.
-    """
+    """Tell GAMG the rigid modes of all bodies together, which serve each body, too. Collective."""
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
     points = K.createVecRight()
     points.setBlockSize(dim)

@@ -33,21 +33,16 @@ class LinearSystem(PetscOwner):
     """K u = f on the degrees of freedom that are not prescribed.
 
     K has identity rows and columns for prescribed degrees of freedom, where f has the prescribed
-    values. The forces that these values cause elsewhere are computed with the stiffness that was
-    assembled last: changes of the form's coefficients have no effect before the next call of
-    `assemble_stiffness`.
+    values. The forces that these values cause elsewhere are those of the K that was assembled last.
 
     In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is a
-    saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness
-    A + B'C^-1 B, or A for B u = 0 if C is zero. Energies refer to this stiffness.
-
-    Owns PETSc objects: call `destroy()`, or use it as a context manager.
+    saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness A + B'C^-1
+    B, or A for B u = 0 if C is zero. Energies refer to this stiffness.
 
     Attributes:
         V: the space of the displacement; for a mixed space, the collapsed sub-space.
         space: function space of the forms: V, or a mixed space.
         component: the displacement in a mixed space; None if the space is not mixed.
-        bcs: the Dirichlet conditions.
         form: the bilinear form; None if it was given compiled or as a matrix.
         loads: the linear form, as the user has given it.
         K: the `PETSc.Mat`, symmetric.
@@ -76,13 +71,7 @@ class LinearSystem(PetscOwner):
         V: Any = None,
         axisymmetric: bool = False,
     ) -> None:
-        """Compile the forms; nothing is assembled yet. Collective.
-
-        See `ContactProblem` for the arguments.
-
-        Raises:
-            InputError: forms or conditions do not fit together, or the mesh is not a meridian.
-        """
+        """Compile the forms; `ContactProblem` explains the arguments. Collective."""
         require_real_petsc()
         self.space = forms.form_space(a, L, bcs, V)
         index = forms.component_index(self.space, V)
@@ -142,10 +131,7 @@ class LinearSystem(PetscOwner):
         return {"a": self.form, "L": self.loads, "bcs": self.bcs}
 
     def check_displacement(self, name: str, u: Any, choices: str = "") -> None:
-        """Check that u is a displacement of this system. Collective.
-
-        The message names the argument, and the further choices that there are.
-        """
+        """Check that u is a displacement; the message has its name, and choices. Collective."""
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
                 f"{name} must be a displacement: a Function on the space of solution.u,{choices} "
@@ -156,14 +142,7 @@ class LinearSystem(PetscOwner):
                 raise InputError(f"{name} has values that are NaN or infinite.")
 
     def assemble_stiffness(self) -> None:
-        """Assemble K from the form's present coefficients. Collective.
-
-        Raises:
-            InputError: a is a matrix, given in place of a form, that `forms.copied` cannot copy; or
-                an axisymmetric form describes a plane body.
-            StiffnessError: K is not symmetric or not finite; or, in a mixed space, a diagonal entry
-                of an unknown that is no displacement is positive.
-        """
+        """Assemble K from the form's present coefficients, and check it. Collective."""
         self.assemble_form()
         if not np.isfinite(self.K.norm(PETSc.NormType.FROBENIUS)):
             raise StiffnessError(
@@ -189,9 +168,9 @@ class LinearSystem(PetscOwner):
         self.K.assemble()
 
     def _eliminate(self) -> None:
-        """Replace prescribed rows and columns of K by rows and columns of the identity.
+        """Replace prescribed rows and columns of K by those of the identity. Collective.
 
-        The old columns are stored: they give the forces that prescribed values cause. Collective.
+        The old columns are stored: they give the forces that prescribed values cause.
         """
         start, end = self.K.getOwnershipRange()
         rows = PETSc.IS().createStride(end - start, start, 1, comm=self.K.comm)
@@ -205,10 +184,9 @@ class LinearSystem(PetscOwner):
         self.K.zeroRowsColumns(columns, 1.0)
 
     def forces_of(self, values: Array) -> PETSc.Vec:
-        """Return the forces K u [force] that prescribed values cause. Collective.
+        """Return the forces K u [force] of prescribed `values` in u, zero elsewhere. Collective.
 
-        Here u has the prescribed `values` (given for this rank) and is zero elsewhere, and K is the
-        matrix before the elimination. The caller owns the vector.
+        K is the matrix before the elimination. The caller owns the vector.
         """
         given, forces = self._columns.createVecs()
         given.array = values
@@ -216,10 +194,7 @@ class LinearSystem(PetscOwner):
         return forces
 
     def reactions_of(self, u: PETSc.Vec) -> Array:
-        """Return K u [force] where values are prescribed, if they are zero in u. Collective.
-
-        Here K is the symmetric matrix before the elimination.
-        """
+        """Return K u [force] where values are prescribed, if they are zero in u. Collective."""
         reactions = self._columns.createVecRight()
         self._columns.multTranspose(u, reactions)
         return np.array(reactions.array)
@@ -227,8 +202,7 @@ class LinearSystem(PetscOwner):
     def product(self, u: Array) -> PETSc.Vec:
         """Return K u [force] at free degrees of freedom, with prescribed values in u. Collective.
 
-        Where u is prescribed, the result has the forces of prescribed values alone. The caller owns
-        the vector.
+        Elsewhere are forces of prescribed values alone. The caller owns the vector.
         """
         inside, result = self.K.createVecs()
         inside.array = np.where(self.prescribed, 0.0, u)
@@ -239,8 +213,8 @@ class LinearSystem(PetscOwner):
     def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
 
-        The forces are those without the effect of the prescribed values, which u has. The caller
-        owns the vector.
+        u has the prescribed values, whose effect the forces do not contain. The caller owns the
+        vector.
         """
         result = self.product(u.array)
         result.aypx(-1.0, forces)
@@ -264,10 +238,7 @@ class LinearSystem(PetscOwner):
         return self.K if self.component is None else self.component.block(self.K)
 
     def displacement(self, w: fem.Function, name: str) -> fem.Function:
-        """Return the displacement of a Function on `space`, with a new name. Not collective.
-
-        The result is the Function itself if the space is not mixed.
-        """
+        """Return the displacement in a Function on `space`, maybe itself, with a new name."""
         u = w if self.component is None else self.component.extract(w)
         u.name = name
         return u
@@ -288,9 +259,8 @@ class LinearSystem(PetscOwner):
     def strain_energy(self, u: PETSc.Vec) -> float:
         """Return the strain energy of u [energy], with the K that was assembled last. Collective.
 
-        It is a(u, u) / 2 if u is a displacement. In a mixed space, where K is (A, B'; B, -C), it is
-        (v'A v + q'C q) / 2 for the displacement v and the other unknowns q, while a(u, u) has the
-        term - q'C q. u has the prescribed values.
+        With K = (A, B'; B, -C) and u = (v, q) it is (v'A v + q'C q) / 2, not a(u, u) / 2, which has
+        - q'C q. u has the prescribed values.
         """
         # only displacements have nonzero prescribed values
         forces = self.forces_of(u.array[self.prescribed]).array
@@ -300,10 +270,7 @@ class LinearSystem(PetscOwner):
 
     @contextmanager
     def loaded(self, L: ufl.Form) -> Iterator[None]:
-        """Replace the load inside the block. Collective.
-
-        The caller assembles the load again after the block.
-        """
+        """Replace the load inside the block, which is not assembled. Collective."""
         given = self._L
         self._L = forms.compiled("L", L, self.V.mesh, self.entity_maps)
         try:
@@ -342,9 +309,8 @@ class LinearSystem(PetscOwner):
     ) -> fem.Function:
         """Return the displacement to be added to u as prescribed values change. Collective.
 
-        Contact forces and loads stay the same, and u [length] has the previous prescribed values.
-        The result is inaccurate (`ROUGH`), since it only predicts a configuration, and zero if the
-        prescribed values are the same up to rounding.
+        Contact forces and loads stay, and u [length] has the previous values. The result is
+        inaccurate (`ROUGH`), since it only predicts a configuration.
         """
         before, response = fem.Function(self.space), fem.Function(self.space)
         before.x.array[slice(None) if self.component is None else self.component.dofs] = u.x.array
@@ -360,13 +326,7 @@ class LinearSystem(PetscOwner):
         return self.displacement(response, "response")
 
     def assemble_load(self) -> None:
-        """Assemble f from the present loads and prescribed values. Collective.
-
-        Raises:
-            InputError: a value is NaN or infinite; a nonzero value is prescribed for an unknown
-                that is not a displacement; or the given matrix lacks the columns of degrees of
-                freedom with nonzero prescribed values.
-        """
+        """Assemble f from the present loads and prescribed values, and check it. Collective."""
         self._assemble_L(self.f.x)
         owned = self.f.x.array[: len(self.prescribed)]
         owned[self.prescribed] = self.prescribed_values()
@@ -382,10 +342,7 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite, and that values other than displacements are prescribed as zero.
-
-        Collective.
-        """
+        """Check that f is finite, and zero where other unknowns are prescribed. Collective."""
         values = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
         with errors_on_all_ranks(self.comm):
             if values.any():
