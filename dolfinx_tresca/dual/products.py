@@ -447,8 +447,7 @@ class ContactCompliance(PetscOwner):
         if self.springs is None:
             return None
         U, stiffness = self.springs.response(self.jump.system.K, self.solver)
-        jumps = product(self.jump.matrix, U)
-        return FloatingBodies(self.springs.modes, U, stiffness, jumps, self.jump.row_nodes)
+        return FloatingBodies(self.springs.modes, U, stiffness, product(self.jump.matrix, U))
 
     @cached_property
     def certificate(self) -> EnergyBound:

@@ -113,14 +113,14 @@ class DualProgram:
         self.is_load_step = self.history.begun
         self.admissible = jump.bounded(slip_bounds)
         self.equilibrium: Equilibrium | None = None
-        self.constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
+        self.constraints = EqualityConstraints.none(len(jump.gap), jump.reductions)
         self.of_tools = slice(0)
         bodies, load = compliance.floating, self._load.array
         if tools is not None:
             if bodies is None:
                 modes = RigidBodyModes.none(jump.system.V, tools.bodies)
                 U, stiffness, jumps = (csr_array((n, 0)) for n in (len(load), 0, len(jump.gap)))
-                bodies = FloatingBodies(modes, U, stiffness, jumps, jump.row_nodes)
+                bodies = FloatingBodies(modes, U, stiffness, jumps)
             self.of_tools = slice(len(bodies.modes), None)
             bodies = bodies.with_tools(tools)
         if bodies is not None:

@@ -206,7 +206,6 @@ class FloatingBodies:
             the bodies alone cause.
         stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse.
-        row_nodes: (size,) the node of each multiplier.
         tools: the tools; None if there are none.
     """
 
@@ -214,7 +213,6 @@ class FloatingBodies:
     displacements: csr_array
     stiffness: csr_array
     jumps: csr_array
-    row_nodes: Indices
     tools: Tools | None = None
 
     def with_tools(self, tools: Tools) -> FloatingBodies:
@@ -288,7 +286,6 @@ class FloatingBodies:
             values=factors * resultants,
             sizes=_largest_of_group(own_sizes, coupled[bodies]),
             reductions=reductions,
-            nodes=self.row_nodes,
         )
         return Equilibrium(self._balanced(constraints, factors, feasible_set), self, factors)
 

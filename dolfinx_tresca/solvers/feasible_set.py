@@ -115,6 +115,10 @@ class FeasibleSet:
         result[self.normal_of[has]] = values[has]
         return result
 
+    def of_normals(self, v: Array) -> Array:
+        """Return the entries (n_discs,) of v (size,) in the discs' normal rows; 0 without one."""
+        return np.append(v, 0.0)[self.normal_of]
+
     def at_tangents(self, values: Array) -> Array:
         """Return values (n_discs,) in the tangential rows (size,) of the discs, zero elsewhere."""
         result = np.zeros(self.size)
@@ -359,7 +363,7 @@ class FrictionCones(FeasibleSet):
         """
         if self.curves is None:
             return self
-        pressure, slip = self._pressures(x), self.norms(r)
+        pressure, slip = self.of_normals(x), self.norms(r)
         if target is not None:
             at_rest = dataclasses.replace(self, slip=0.0).section(x).radius
             weakens = dataclasses.replace(self, slip=slip).slopes(x)[1] < 0.0
@@ -369,7 +373,7 @@ class FrictionCones(FeasibleSet):
 
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds at the pressures of x (size,)."""
-        pressure = self._pressures(x)
+        pressure = self.of_normals(x)
         radius = self._bound(pressure, self._coefficients(pressure))
         rows = self.size, self.normal, self.tangential, self.node
         return FeasibleSet(*rows, radius, self.normal_of)
@@ -412,7 +416,7 @@ class FrictionCones(FeasibleSet):
             where: (n_discs,) discs whose slopes are wanted. Other slopes are zero, and so are those
                 where F p exceeds its limit.
         """
-        pressure = self._pressures(x)
+        pressure = self.of_normals(x)
         coefficient = self._coefficients(pressure)
         grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         result = np.array([coefficient, np.zeros_like(coefficient)])
@@ -422,14 +426,14 @@ class FrictionCones(FeasibleSet):
 
     def exceed_limit(self, x: Array) -> Mask:
         """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
-        pressure = self._pressures(x)
+        pressure = self.of_normals(x)
         return np.asarray(self._coefficients(pressure) * pressure > self.limit)
 
     def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
         """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
         if self.curves is None:
             return []
-        arguments = self.curves.arguments(self._pressures(x), self.slip)
+        arguments = self.curves.arguments(self.of_normals(x), self.slip)
         return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
 
     def _coefficients(self, pressure: Array) -> Array:
@@ -437,16 +441,6 @@ class FrictionCones(FeasibleSet):
         if self.curves is None:
             return self.coefficient
         return self.curves.coefficients(self.coefficient, pressure, self.slip)
-
-    def _pressures(self, x: Array) -> Array:
-        """Return the normal multiplier on which each bound depends; 0 if there is none.
-
-        The result has the shape (n_discs,).
-        """
-        result = np.zeros(len(self.normal_of))
-        has = self.normal_of >= 0
-        result[has] = x[self.normal_of[has]]
-        return result
 
     def _bound(self, pressure: Array, coefficient: Array) -> Array:
         grown = coefficient * np.maximum(pressure, 0.0)
@@ -463,7 +457,7 @@ class FrictionCones(FeasibleSet):
             norms before the projection (n_discs,), 1 if that norm is zero; and the derivative
             (2, 2, n_discs) of pressure and radius with respect to their values before.
         """
-        given, nodes = np.array([self._pressures(y), self.norms(y)]), np.arange(len(self.radius))
+        given, nodes = np.array([self.of_normals(y), self.norms(y)]), np.arange(len(self.radius))
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)
         zero, unit = np.zeros(len(nodes)), np.ones(len(nodes))
         F = np.where(grows, self.coefficient, zero)

@@ -98,7 +98,6 @@ class Iterate:
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
         learned: whether the last step has changed the model of A, or the accuracy of gradients.
-        store: known products with A, to which new products are added.
         must_descend: whether q decreases in each step: for given slip bounds and held bodies.
     """
 
@@ -107,9 +106,9 @@ class Iterate:
     r: Array
     error: float
 
-    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
+    def __init__(self, problem: DualProblem) -> None:
         """Begin at zero, where no product is needed."""
-        self._problem, self.store, self.finest, self.learned = problem, store, 0.0, True
+        self._problem, self.finest, self.learned = problem, 0.0, True
         self.must_descend = problem.admissible.has_given_bounds and len(problem.constraints) == 0
         self._is_exact = problem.compliance.exact
         # the requested error of a gradient is a part of the length of the last step; the solver
@@ -122,6 +121,11 @@ class Iterate:
         b = self._problem.b
         self.x, self.c, self.r = np.zeros_like(b), np.zeros(len(self._problem.constraints)), -b
         self.error = self._problem.b_error
+
+    @property
+    def store(self) -> KnownProducts:
+        """The known products with A, to which new products are added. Collective."""
+        return self._problem.compliance.known_products()
 
     @property
     def point(self) -> Point:
@@ -232,7 +236,6 @@ class ModelNewton:
         problem: A, b, cones and constraints.
         options: tolerances.
         observe: function that is called with each iterate, the first one included.
-        store: known products with A.
         residual: natural residual and its scale.
         history: residuals and energies of the iterates, and the criterion of convergence.
         iterate: the present point.
@@ -270,8 +273,7 @@ class ModelNewton:
 
         The first product is that of b with the near field, if there is one, and otherwise with A.
         """
-        self.store, b = self.problem.compliance.known_products(), self.problem.b
-        store = self.store
+        store, b = self.problem.compliance.known_products(), self.problem.b
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
             if store.largest_ritz_value == 0.0 and store.near is not None:
@@ -288,7 +290,7 @@ class ModelNewton:
         satisfy the law of friction as well.
         """
         problem, constraints = self.problem, self.problem.constraints
-        self.iterate = iterate = Iterate(problem, self.store)
+        self.iterate = iterate = Iterate(problem)
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
         if residual.zero_is_undecided(iterate.error):
             problem.refine_b()
@@ -333,7 +335,7 @@ class ModelNewton:
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
-        return self.options.step_factor / (self.store.largest_ritz_value or 1.0)
+        return self.options.step_factor / (self.iterate.store.largest_ritz_value or 1.0)
 
     def status(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.
@@ -358,7 +360,7 @@ class ModelNewton:
         misses = self.misses >= MISSES
         if (stalls or is_slow or misses) and self.complete_products():
             return None
-        if not stalls and not (misses and isinstance(self.store, WholeModel)):
+        if not stalls and not (misses and isinstance(self.iterate.store, WholeModel)):
             return None
         if self.problem.admissible.has_given_bounds:
             return ContactStatus.STAGNATED
@@ -372,10 +374,9 @@ class ModelNewton:
 
         Collective.
         """
-        compliance = self.problem.compliance
-        if not isinstance(self.store, ProductStore) or not compliance.complete_products():
+        is_known = isinstance(self.iterate.store, WholeModel)
+        if is_known or not self.problem.compliance.complete_products():
             return False
-        self.store = self.iterate.store = compliance.known_products()
         self.misses, self.completed_at = 0, len(self.history.residuals)
         self.iterate.learned = True
         return True

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, eigh
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, issparse
 from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix, dense, scaled_rows
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix, dense
 from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
@@ -81,13 +81,13 @@ class NodalMaps:
         by_pressure = free * cones.at_normals(slope)
         damped = weight * free * cones.at_normals(slope / damping)
         damped += face.along_radius(by_slip / damping)
-        matrix, zeros, on_radius = cones.nodal_matrix, np.zeros_like(x), diagonal * radial
-        project = matrix(free.astype(np.float64), (radial, -radial))
-        fixed = matrix(np.where(free, 0.0, diagonal), (on_radius, radial - by_pressure))
+        matrix, on_radius = cones.nodal_matrix, diagonal * radial
+        along_slip = on_radius, face.along_radius(by_slip)
+        fixed = on_radius, radial - by_pressure
         return cls(
-            test=project + matrix(zeros, (on_radius, face.along_radius(by_slip))),
-            added=scaled_rows(project, stiffness) + fixed,
-            inverse=scaled_rows(project, weight) + matrix(zeros, (radial, damped)),
+            test=matrix(np.where(free, 1.0, 0.0), (radial, -radial), along_slip),
+            added=matrix(np.where(free, stiffness, diagonal), (stiffness * radial, -radial), fixed),
+            inverse=matrix(weight * free, (weight * radial, -radial), (radial, damped)),
         )
 
 

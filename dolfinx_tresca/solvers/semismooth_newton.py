@@ -230,10 +230,10 @@ class ConvexNewton(SemismoothNewton):
         super().__init__(problem, model)
         cones = problem.admissible.at_point(x, r)
         self.cones = cones.section(x) if given else cones
-        nodes = problem.constraints.nodes
-        largest = np.zeros(nodes.max(initial=-1) + 1)
-        np.maximum.at(largest, nodes, self.size)
-        self.rho = 1.0 / largest[nodes]
+        # the same for all multipliers of a cone
+        largest = np.maximum(cones.disc_means(self.size), cones.of_normals(self.size))
+        rows = cones.at_normals(largest) + cones.at_tangents(largest)
+        self.rho = 1.0 / np.maximum(self.size, rows)
         self.opening = self.cones.dilation(x, r)
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
