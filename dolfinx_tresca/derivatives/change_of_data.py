@@ -320,11 +320,11 @@ class DataOfSolution:
             forces -= self.derivative(self._residual, control, direction)
             values += self._prescribed_by(control, flat(direction))
             for scalar in self._fields:
-                rates = self._values.pushed_forward(
+                rates = self._values.slopes(
                     scalar.field, control, direction, scalar.nodes, scalar.name
                 )
                 if rates is not None:
-                    laws += scalar.effect @ rates
+                    laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
             rows = moved_rows(self.system, contact, control, direction, self._in_all_steps)

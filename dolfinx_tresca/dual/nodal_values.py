@@ -131,27 +131,20 @@ class NodalValues:
         self._compiled: dict[Expr, fem.Expression] = {}
 
     def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present values of a scalar (n,) at nodes of this rank. Collective.
+        """Return the present values (n,) of a scalar, see `values_at`. Collective."""
+        return self.values_at(field, nodes, name, 1)[:, 0]
 
-        The `nodes` (n,) are local numbers; error messages call the scalar by the `name`.
+    def values_at(
+        self, field: ScalarField | VectorField, nodes: LocalNumbers, name: str, components: int
+    ) -> Array:
+        """Return the present values (n, 1 or 3) of a scalar or vector at nodes. Collective.
 
-        Raises:
-            InputError: the scalar is on another mesh, or a function returns neither a number nor
-                one number for each point.
-        """
-        return self._values_at(field, nodes, name, 1)[:, 0]
-
-    def vectors_at(self, field: VectorField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present vectors (n, 3) at nodes of this rank. Collective.
+        Error messages call the field by its `name`.
 
         Raises:
-            InputError: the field is on another mesh, or a function returns neither a vector nor one
-                vector for each point.
+            InputError: the field is on another mesh, or a function returns neither one value nor
+                one value for each point.
         """
-        return self._values_at(field, nodes, name, 3)
-
-    def _values_at(self, field: Any, nodes: LocalNumbers, name: str, components: int) -> Array:
-        """Return the present values (n, components) of a scalar or vector field. Collective."""
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if isinstance(field, fem.Constant):
@@ -196,45 +189,27 @@ class NodalValues:
                 function reads it.
         """
         space, dofmap = control.function_space, control.function_space.dofmap
-        slopes = self._slopes(field, control, ufl.TestFunction(space), nodes, name)
+        slopes = self.slopes(field, control, ufl.TestFunction(space), nodes, name)
         if slopes is None:
             return None
         dofs, terms = dofmap.list[self._places(nodes)[0]], weights[:, None] * slopes
         sums = summed_at_nodes(dofmap.index_map, dofs, terms[..., None])
         return sums[: dofmap.index_map.size_local, 0]
 
-    def pushed_forward(
-        self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
-    ) -> Array | None:
-        """Return the derivative (n,) of nodal values for a given change of a control. Collective.
-
-        The change of a Constant is given by values, that of a Function by a Function.
-
-        Returns:
-            the derivative; None if the field does not depend on the control.
-
-        Raises:
-            InputError: see `pulled_back`.
-        """
-        slopes = self._slopes(field, control, direction, nodes, name)
-        return None if slopes is None else slopes[:, 0]
-
-    def _slopes(
+    def slopes(
         self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
     ) -> Array | None:
         """Return derivatives (n, k) of a scalar along directions of a control. Collective.
 
-        A test function stands for k directions: the basis functions of the node's cell. The result
-        is None if the scalar does not depend on the control.
-
-        Raises:
-            InputError: see `pulled_back`.
+        The direction of a Constant is given by values, that of a Function by a Function, or by a
+        test function, which stands for k directions: the basis functions of the node's cell. The
+        result is None if the scalar does not depend on the control.
         """
         is_constant = isinstance(control, fem.Constant)
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if callable(field) and not isinstance(field, Expr):
-            comm, values = self._V.mesh.comm, partial(self._values_at, field, nodes, name, 1)
+            comm, values = self._V.mesh.comm, partial(self.values_at, field, nodes, name, 1)
             along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
             rates = central_differences(comm, control, along[None], values, name)
             return None if rates is None else rates[0]

@@ -236,7 +236,7 @@ class SlipBounds:
                     "two slip bounds and their direction are for surfaces in 3D: in 2D the "
                     "surfaces slide along one direction only, so give one bound."
                 )
-            self.values.vectors_at(friction.terms.direction, nodes, DIRECTION)
+            self.values.values_at(friction.terms.direction, nodes, DIRECTION, 3)
 
     def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
@@ -264,7 +264,7 @@ class SlipBounds:
                 shape = self._shape(values, TERMS[name])
         direction = None
         if terms.direction is not None:
-            direction = self.values.vectors_at(terms.direction, nodes, DIRECTION)
+            direction = self.values.values_at(terms.direction, nodes, DIRECTION, 3)
         return NodalBounds(**bounds, shape=shape, direction=direction, curve=terms.curve)
 
     def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:

@@ -290,7 +290,8 @@ class NodalCurves:
         """
         result = constant.copy()
         for discs, curve, p, v in self.arguments(pressure, slip):
-            result[discs] = np.maximum(_finite(curve.values(p, v)), 0.0)
+            values = np.nan_to_num(curve.values(p, v), posinf=0.0)
+            result[discs] = np.maximum(values, 0.0)
         return result
 
     @np.errstate(all="ignore")
@@ -298,7 +299,7 @@ class NodalCurves:
         """Return dF/dp and dF/dv (2, n_discs), zero for discs without a curve."""
         result = np.zeros((2, len(self.root)))
         for discs, curve, p, v in self.arguments(pressure, slip):
-            result[:, discs] = _finite(np.array(curve.slopes(p, v)))
+            result[:, discs] = np.nan_to_num(curve.slopes(p, v), posinf=0.0, neginf=0.0)
         return result / self.root
 
     def arguments(
@@ -308,11 +309,6 @@ class NodalCurves:
         p: Array = np.maximum(pressure, 0.0) / self.root
         v: Array = np.divide(slip, self.root)
         return [(discs, curve, p[discs], v[discs]) for discs, curve in self.of_discs]
-
-
-def _finite(values: Array) -> Array:
-    """Return values, with zeros in place of those that are not finite."""
-    return np.where(np.isfinite(values), values, 0.0)
 
 
 @dataclass(frozen=True)
