@@ -64,11 +64,7 @@ DOUBT = {1: 0.15, 2: 0.25}
 
 
 def value_of(goal: Goal, x: Array, jump: JumpOperator, jump_of_u: Array) -> float:
-    """Return the value of a goal for multipliers x (size,) and a jump B u (size,). Collective.
-
-    Raises:
-        InputError: the patch of the goal has no node of the pair.
-    """
+    """Return the value of a goal for multipliers x (size,) and a jump B u (size,). Collective."""
     on_jump, on_x = weights_of(goal, jump, x)
     inner = jump.reductions.inner
     return float(inner(on_jump, jump_of_u) + inner(on_x, x))
@@ -220,11 +216,8 @@ def goal_error(
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
-    Args:
-        goal: the goal.
-        contact: the solution.
-        u: displacement of the solution, with the rigid motions of bodies that have turned.
-        energy_error: error of the iteration in the energy norm [energy^(1/2)].
+    The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
+    that of the iteration [energy^(1/2)].
 
     Raises:
         InputError: the patch of the goal has no node of the pair.
@@ -300,16 +293,9 @@ def gradient(
     other node s is its tangential jump T u in the previous step. So y carries the derivatives of a
     step's goals back to the previous step.
 
-    Args:
-        data: the data of the solution.
-        goals: pairs of a factor and a goal; a goal may be a form of rank 0 that depends on u.
-        controls: the Constants and Functions.
-        on_origin: (size,) derivatives of further terms with respect to the slip origin of the next
-            step; None: zeros.
-
-    Returns:
-        for each control the derivatives with respect to its values (for a Function, those that this
-        rank owns); and (size,) the derivatives with respect to the slip origin of this step.
+    The result has for each control the derivatives with respect to its values (for a Function,
+    those that this rank owns), and the derivatives (size,) with respect to the slip origin of this
+    step.
 
     Raises:
         InputError: the patch of a goal has no node, or a form does not depend on u; or the
@@ -377,12 +363,7 @@ def explicit_rate(
     A form of rank 0 may depend on controls, and a goal such as a force depends on the position of
     obstacles through normals and tangents.
 
-    Args:
-        data: the data of the solution.
-        goal: a goal, or a form of rank 0.
-        controls: Constants and Functions.
-        directions: their changes.
-        change: the change of the data that these changes cause.
+    The `change` of the data is that which the changes of the controls cause.
     """
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)
@@ -394,14 +375,7 @@ def explicit_rate(
 def as_derivatives(values: Sequence[Any], controls: Sequence[Control], comm: Any) -> list[Any]:
     """Return derivatives of `gradient` as arrays and Functions. Collective.
 
-    Args:
-        values: for each control the derivatives with respect to its values, or the number 0. If
-            they are all zero, the log says so.
-        controls: the Constants and Functions to which the derivatives belong.
-        comm: communicator.
-
-    Returns:
-        for each Constant an array of its shape, for each Function a Function on its space.
+    For each control the values may be the number 0; if they are all zero, the log says so.
     """
     result: list[Any] = []
     for control, derivatives in zip(controls, values, strict=True):
@@ -491,16 +465,6 @@ def tangent_of(
     """Return the change of a solution: two solves with K and some products with A. Collective.
 
     Each node keeps its contact state; see `linearised` for the equations.
-
-    Args:
-        data: the data of the solution.
-        surfaces: secondary surfaces of the pairs.
-        controls: Constants and Functions that change.
-        directions: changes of the controls, see `checked_directions`.
-
-    Raises:
-        InputError: the derivative with respect to a control is not known.
-        ConvergenceError: the tangent has no solution.
     """
     contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
     x, linear = contact.multipliers, jump.system

@@ -209,11 +209,6 @@ class ProcessTape:
         Collective.
 
         See `gradient`.
-
-        Raises:
-            ContactError: the problem was destroyed, or K or the pairing has changed since steps
-                were recorded.
-            InputError: a goal or a control is wrong.
         """
         contact = self._contact
         contact.check_not_destroyed()
@@ -239,11 +234,7 @@ class ProcessTape:
         return result
 
     def _check_laws(self, step: _Recorded, number: int) -> None:
-        """Check that the recorded inputs give the gaps and the friction of a step. Collective.
-
-        Raises:
-            InputError: a law has other values than in the step.
-        """
+        """Check that the recorded inputs give the gaps and the friction of a step. Collective."""
         same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise InputError(
@@ -256,11 +247,6 @@ class ProcessTape:
         """Check that obstacles have not moved, and that derivatives with respect to them are known.
 
         Collective.
-
-        Raises:
-            ContactError: an obstacle is not where it was in the recorded steps.
-            InputError: an obstacle depends on a control, and either an obstacle moved while steps
-                were recorded, or there was slip when recording began.
         """
         contact, steps = self._contact, self._steps
         if contact.obstacles.changed(contact.jump).any():
@@ -280,12 +266,7 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
-        """Check goals, and return them as number of a step -> pairs (weight, goal).
-
-        Raises:
-            InputError: the goals are not a mapping from numbers of steps to goals; or see
-                `DataOfSolution.checked_goal`.
-        """
+        """Check goals, and return them as number of a step -> pairs (weight, goal)."""
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
             raise InputError(

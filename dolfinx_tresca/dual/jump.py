@@ -186,10 +186,6 @@ class JumpOperator(PetscOwner):
         """Return B with tangents along the axes of each node's friction ellipse. Collective.
 
         The result is self if all tangents stay the same, else a new operator that the caller owns.
-
-        Raises:
-            InputError: the direction that belongs to two slip bounds is not finite, is zero, or is
-                normal to the surface.
         """
         pairs = [
             with_tangents_along_axes(self.system.V, pair, bounds)

@@ -84,15 +84,8 @@ def central_differences(
 
     No list of what a Python function reads is needed: the result is None if nothing changes.
 
-    Args:
-        comm: the communicator.
-        control: the Constant or the Function.
-        directions: (k, number of values of the control) changes of the control.
-        values: function that evaluates the values (n, ...) of this rank.
-        name: name of the values, for error messages.
-
-    Returns:
-        (k, n, ...) derivatives, or None.
+    The `directions` are (k, number of values of the control), the values of this rank (n, ...), and
+    the result (k, n, ...). Error messages call the values by the name.
 
     Raises:
         InputError: the values change, and the control is a Function.
@@ -173,16 +166,9 @@ class NodalValues:
     ) -> Array | None:
         """Return the derivatives of a weighted sum of nodal values by a Function. Collective.
 
-        Args:
-            field: the scalar whose nodal values are differentiated.
-            control: the scalar Function that changes.
-            nodes: nodes of this rank at which the field is taken.
-            weights: (n,) weights of the values: derivatives of a goal, from an adjoint solution.
-            name: name of the field in error messages.
-
-        Returns:
-            the derivatives with respect to the Function's degrees of freedom on this rank, without
-            ghosts; None if the field does not depend on the Function.
+        The weights (n,) are derivatives of a goal, from an adjoint solution. The result has a value
+        for each degree of freedom that this rank owns; it is None if the field does not depend on
+        the Function.
 
         Raises:
             InputError: the control is a Function with components, or on another mesh; or a Python
@@ -231,12 +217,7 @@ class NodalValues:
     def _of_function(
         self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
     ) -> Array:
-        """Return the values (components, n) of a function at the nodes. Not collective.
-
-        Raises:
-            InputError: the function returns neither one value nor one value for each node, or
-                values that are not real numbers.
-        """
+        """Return the values (components, n) of a function at the nodes. Not collective."""
         n = len(nodes)
         if n == 0:
             return np.zeros((components, 0))
@@ -255,11 +236,7 @@ class NodalValues:
         return values
 
     def _check_mesh(self, expression: Expr, name: str) -> None:
-        """Check that a Function or an expression is on the mesh of the space. Not collective.
-
-        Raises:
-            InputError: the expression is on another mesh.
-        """
+        """Check that a Function or an expression is on the mesh of the space. Not collective."""
         if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
             raise InputError(

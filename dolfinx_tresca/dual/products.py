@@ -97,9 +97,6 @@ def _solve(matrix: csr_array, right: Array) -> Array:
 
     On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
     take a third of the memory.
-
-    Raises:
-        StiffnessError: the factorisation failed.
     """
     A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
     factors = PETSc.PC().create(MPI.COMM_SELF)
@@ -129,10 +126,7 @@ def _forces_on_bodies(
 ) -> tuple[Indices, Indices, csr_array]:
     """Return the rows of B, split into the rows of the matrices B_b of all bodies. Collective.
 
-    Args:
-        jump: B.
-        label: the body of each node of this rank.
-        bodies: number of bodies.
+    The `label` is the body of each node of this rank.
 
     Returns:
         the local number (m,) of the multiplier of each row of this rank; the body (m,) on which the
@@ -170,12 +164,8 @@ def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None
     The columns of P are the basis displacements of the level (`MOST_UNKNOWNS`): they move bodies as
     a whole. The caller owns the result. Collective.
 
-    Args:
-        pc: a preconditioner, whose multigrid levels are searched.
-
-    Returns:
-        the interpolations whose product is P, the finest first, and the factors; None if the
-        preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
+    The result has the interpolations whose product is P, the finest first. It is None if the
+    preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
     """
     interpolations: list[PETSc.Mat] = []
     while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
@@ -217,11 +207,7 @@ class NearField(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
-        """Find the nodes near the contact, and factor K there and on the coarse level. Collective.
-
-        Raises:
-            StiffnessError: the factorisation failed.
-        """
+        """Find nodes near the contact, and factor K there and on the coarse level. Collective."""
         self._jump, K = jump, solver.matrix
         self.comm = jump.comm
         layers = LAYERS if solver.exact else LAYERS_BEFORE_COARSE
@@ -324,11 +310,6 @@ class ContactCompliance(PetscOwner):
     ) -> None:
         """Compute the data that every solve needs. Collective.
 
-        Args:
-            jump: B.
-            solver: solver for the system's K plus the springs.
-            springs: springs that fix floating and softly held bodies; None if there are none.
-
         Raises:
             StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
                 the solver is destroyed.
@@ -373,10 +354,8 @@ class ContactCompliance(PetscOwner):
         Each column counts as a product. Blocks of columns are solved together, which with a direct
         solver costs far less than single products.
 
-        Args:
-            place: (size,) column in which each multiplier is 1.
-            count: number of columns.
-            B: the matrix of jumps in A = B K^-1 B', or a matrix that replaces it.
+        The `place` (size,) is the column in which each multiplier is 1. B may be another matrix
+        than that of the jumps in A = B K^-1 B'.
         """
         prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
         for start in range(0, count, BLOCK):
@@ -439,11 +418,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def floating(self) -> FloatingBodies | None:
-        """The floating and softly held bodies; None if there are none. Collective.
-
-        Raises:
-            StiffnessError: a solve failed.
-        """
+        """The floating and softly held bodies; None if there are none. Collective."""
         if self.springs is None:
             return None
         U, stiffness = self.springs.response(self.jump.system.K, self.solver)

@@ -93,13 +93,6 @@ class DualProgram:
         An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
         residuals and the reported q depend on this b, while gradients do not.
 
-        Args:
-            compliance: A for the present K.
-            guess: displacements of earlier solves.
-            slip_bounds: slip bounds at the nodes of each pair.
-            history: slip of the accepted load steps; None if there is none.
-            tools: obstacles and bolts with given forces; None if there are none.
-
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
             MechanismError: contact cannot hold a floating body or a tool.
@@ -161,11 +154,7 @@ class DualProgram:
         self.b_error = max(self.b_error, self._solver.error(self._load, self._u))
 
     def _check_units(self) -> None:
-        """Check that squares of lengths and forces neither overflow nor underflow. Collective.
-
-        Raises:
-            InputError: the squares would overflow or underflow.
-        """
+        """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
         force = self._load.norm(PETSc.NormType.INFINITY)
         largest = float(reduce_array(self.jump.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
         least = 1.0 / LARGEST_SIZE
@@ -185,10 +174,7 @@ class DualProgram:
         rounding of r: products are differences of gradients, and if steps are small compared with
         the gaps, these differences may be pure rounding.
 
-        Args:
-            x: (size,) multipliers.
-            accuracy: requested error of the displacement in the energy norm; the returned error is
-                larger if the solver does not reach it.
+        The returned error exceeds `accuracy` if the solver does not reach it.
         """
         if self._solver.exact:
             presses = float(self.inner(x, x)) > 0.0
@@ -326,8 +312,7 @@ class DualProgram:
 
         The minimisers are the projection of `decoupled_minimiser` onto Lambda.
 
-        Returns:
-            the change and the largest traction [stress].
+        The result is the change and the largest traction [stress].
         """
         change = x - self.bounds(x, r).project(self.decoupled_minimiser(x, r))
         sizes = [self._largest_stress(multipliers) for multipliers in (change, x)]
@@ -347,9 +332,8 @@ class DualProgram:
 
         Before the call, u is K^-1 (f - B'x).
 
-        Returns:
-            the gradient including the term -G c of the constraints, and the energy norm of the
-            rigid displacements that are still missing for equilibrium.
+        The result is the gradient including the term -G c of the constraints, and the energy norm
+        of the rigid displacements that are still missing for equilibrium.
         """
         r = self.gradient_of(u)
         if self.equilibrium is None:
@@ -420,9 +404,6 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
 
     Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
-
-    Returns:
-        numbers of normal rows between pressed and open, and of discs between stick and slip.
     """
     lam, scale = dual.bounds(x, r), dual.jump.stress_scale
     change, traction = dual.local_change(x, r)
@@ -437,11 +418,8 @@ def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: f
 
     The result is an array (n_discs,), False for discs without friction.
 
-    Args:
-        lam: Lambda, whose radii are the slip bounds.
-        target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
-        stress_scale: (size,) factors from multipliers to stresses.
-        error: error of a traction [stress].
+    The radii of Lambda are the slip bounds, the target is the `decoupled_minimiser`, and the error
+    is that of a traction [stress].
     """
     scale = np.ones(len(lam.radius))
     scale[lam.node] = stress_scale[lam.tangential]

@@ -121,9 +121,7 @@ class Tools:
     def places(self, c: Array, before: Array) -> Array:
         """Return the motions (pairs, 3, 4) of the tools of all pairs, as `RigidMotion.matrix`.
 
-        Args:
-            c: (k,) the motions of a solve.
-            before: (pairs, 3, 4) motions at the start of the solve.
+        The motions c (k,) of a solve follow those `before`, (pairs, 3, 4).
         """
         result, moved = before.copy(), np.zeros((len(before), 6))
         for motion, amount in zip(self.motions, c, strict=True):
@@ -162,23 +160,14 @@ class Equilibrium:
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U c to u. Collective.
 
-        Args:
-            x: (size,) multipliers.
-            u: the vector K_p^-1 (f - B'x), to which U c is added.
-            c: (k,) multipliers of the constraints.
-
-        Returns:
-            the energy norm of the rigid displacements that are then still missing for equilibrium.
+        Before the call, u is K_p^-1 (f - B'x). The result is the energy norm of the rigid
+        displacements that are then still missing for equilibrium.
         """
         u.array += self.bodies.displacements @ (self.factors * c)
         return self.constraints.violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return the resultants U'f (k,), and the largest size of their terms. Collective.
-
-        Args:
-            f: forces on all unknowns.
-        """
+        """Return the resultants U'f (k,), and the largest size of their terms. Collective."""
         result, sizes = (self.factors * values for values in self.bodies.resultants(f.array))
         return result, float(sizes.max(initial=0.0))
 
@@ -302,14 +291,8 @@ class FloatingBodies:
     ) -> None:
         """Check that contact resists all motions that K does not resist at all. Collective.
 
-        Args:
-            gram: (k, k) inner products of the jumps that contact resists.
-            length: (k,) lengths of these jumps, zero if they are small for their body.
-            largest: (k,) the largest length of the jumps of each mode's body.
-            reductions: object that computes sums over the ranks.
-
-        Raises:
-            MechanismError: contact does not resist a motion.
+        The `gram` (k, k) has the inner products of the jumps that contact resists; their lengths
+        (k,) are zero if they are small compared with the largest length of the mode's body.
         """
         floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
         sizes = np.where(length > 0.0, length, largest)[floats]
@@ -335,9 +318,6 @@ class FloatingBodies:
         """Return the equations, without the rounding of loads that contact cannot balance.
 
         Collective.
-
-        Raises:
-            MechanismError: no contact forces balance the loads.
         """
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if balanced.satisfied:
@@ -363,9 +343,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     together. The limit for joint motions of n bodies is smaller, since the resistance falls with n:
     the least eigenvalue of a stack of n bodies is about 1 / n^4.
 
-    Args:
-        gram: (m, m) products of the modes' jumps, sparse, 1 on the diagonal.
-        body: (m,) the body of each mode.
+    The `gram` (m, m) has the products of the modes' jumps, with 1 on the diagonal.
 
     Returns:
         the components (m, number) of the motions in the modes, empty if there is no such motion;

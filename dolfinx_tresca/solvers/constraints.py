@@ -291,9 +291,6 @@ def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
     Rows that nonzero entries connect, directly or through other rows, are treated as one dense
     block: the cost grows with the sum of the cubes of the blocks' sizes. Eigenpair number j belongs
     to the block of row j; the eigenvalues of a block ascend.
-
-    Args:
-        matrix: (k, k) symmetric, k > 0.
     """
     label = connected_components(matrix, directed=False)[1]
     order = np.argsort(label, kind="stable")

@@ -126,12 +126,7 @@ class FeasibleSet:
         return result
 
     def dilation(self, x: Array, r: Array) -> Array:
-        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x; its tangential part is minus the slip.
-        """
+        """Return the slope dg/dp times the slip in the normal rows (size,)."""
         return self.at_normals(self.slopes(x)[0] * self.norms(r))
 
     def sums(self, v: Array) -> Array:
@@ -171,9 +166,8 @@ class FeasibleSet:
     def nodal_matrix(self, diagonal: Array, *terms: tuple[Array, Array]) -> csr_array:
         """Return a sparse matrix (size, size) that couples only multipliers of the same node.
 
-        Args:
-            diagonal: (size,) first term of the diagonal.
-            terms: vectors a and b (size,), of which a_i b_j is added to the entry (i, j).
+        The diagonal (size,) is the first term. For each pair of vectors a and b (size,) in `terms`,
+        a_i b_j is added to the entry (i, j).
         """
         pattern = self._pattern
         columns, rows = pattern.indices, np.repeat(np.arange(self.size), np.diff(pattern.indptr))
@@ -251,11 +245,7 @@ def pressed_values(
 ) -> Array:
     """Return F (n,) at nodes under pressure and 0 at open nodes, where F may be infinite.
 
-    Args:
-        curve: the coefficient of friction.
-        pressure: (n,) pressures [stress].
-        slip: (n,) slips [length].
-        points: positions of the nodes, on which F does not depend.
+    The `points`, on which F does not depend, may be given as to any function of positions.
     """
     with np.errstate(all="ignore"):
         return np.where(pressure > 0.0, curve.values(pressure, slip), 0.0)
@@ -282,11 +272,6 @@ class NodalCurves:
 
         Values that are negative or not finite become zero: iterates may have pressures and slips
         far from those of the solution. The values at the solution are checked afterwards.
-
-        Args:
-            constant: (n_discs,) coefficients of discs without a curve.
-            pressure: (n_discs,) normal multiplier.
-            slip: (n_discs,) norm of the tangential gradient.
         """
         result = constant.copy()
         for discs, curve, p, v in self.arguments(pressure, slip):
@@ -348,14 +333,10 @@ class FrictionCones(FeasibleSet):
     def at_point(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x, with the terms of the equality constraints; its tangential
-                part is minus the slip.
-            target: (size,) end of a gradient step from x. A node that friction at rest would hold
-                there counts as sticking, with the slip zero, unless friction decreases at the
-                present slip. Bodies are at rest before they slide: for a coefficient that falls
-                steeply, Newton's method would else find the solution in which they slide.
+        A node that friction at rest would hold at `target` (size,), the end of a gradient step from
+        x, counts as sticking, with the slip zero, unless friction decreases at the present slip.
+        Bodies are at rest before they slide: for a coefficient that falls steeply, Newton's method
+        would else find the solution in which they slide.
         """
         if self.curves is None:
             return self
@@ -407,10 +388,7 @@ class FrictionCones(FeasibleSet):
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
         """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g.
 
-        Args:
-            x: (size,) multipliers.
-            where: (n_discs,) discs whose slopes are wanted. Other slopes are zero, and so are those
-                where F p exceeds its limit.
+        Slopes are zero outside of the mask `where` (n_discs,), and where F p exceeds its limit.
         """
         pressure = self.of_normals(x)
         coefficient = self._coefficients(pressure)

@@ -61,14 +61,6 @@ def solve(
     takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken. Two bricks
     take up to a quarter more products if the whole step is always taken.
 
-    Collective.
-
-    Args:
-        problem: A, b, cones and constraints; the products of this solve are added to its store.
-        start: (size,) first multipliers; projected onto the cones.
-        options: tolerances.
-        observe: function that is called with each iterate, the first one included.
-
     Raises:
         InputError: a method of the paper, which is for slip bounds that are given, was chosen for
             slip bounds that depend on the pressure.
@@ -92,8 +84,6 @@ class Iterate:
     product is then the difference of two gradients, and contains the errors of both.
 
     Attributes:
-        x: (size,) multipliers of the point.
-        c: (k,) multipliers of the constraints.
         r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
@@ -233,12 +223,6 @@ class ModelNewton:
     """The state of one solve: a point with its gradient, and the history.
 
     Attributes:
-        problem: A, b, cones and constraints.
-        options: tolerances.
-        observe: function that is called with each iterate, the first one included.
-        residual: natural residual and its scale.
-        history: residuals and energies of the iterates, and the criterion of convergence.
-        iterate: the present point.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
         deficit: deficit of friction with which the iteration ends; None if friction is strong
             enough.
@@ -392,13 +376,8 @@ class ModelNewton:
 def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
     """Return the motion along which friction is too weak for the constraints. Collective.
 
-    Args:
-        problem: the dual problem, with friction cones and constraints.
-        point: multipliers whose pressures determine the slip bounds.
-
-    Returns:
-        the motion, with the work of the loads and of friction along it; None if some multipliers
-        with the slip bounds of the point satisfy the constraints.
+    The slip bounds are those of the point. The result is None if some multipliers with these bounds
+    satisfy the constraints.
     """
     constraints, section = problem.constraints, problem.bounds(point.x, point.r)
     if len(constraints) == 0:  # no body floats

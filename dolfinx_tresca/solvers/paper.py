@@ -113,12 +113,8 @@ class Run:
     """The state of a solve by an algorithm of the paper.
 
     Attributes:
-        problem: the dual problem (38.4), without constraints.
-        options: tolerances and the step length.
-        feasible_set: Lambda.
         history: the record, with rho from an estimate of sigma_max.
         x: (size,) multipliers, maybe outside of Lambda.
-        r: (size,) gradient at x.
     """
 
     def __init__(
@@ -148,10 +144,8 @@ class Run:
         The convergence of the projection of x onto Lambda is checked, which costs a product if x is
         outside of Lambda.
 
-        Args:
-            step: function that returns the next multipliers (size,) and their gradient (size,),
-                given the tolerance of its inner iteration.
-            precision: function that returns the tolerance of the next inner iteration.
+        The function `step` returns the next multipliers and their gradient, (size,) each, given the
+        tolerance of its inner iteration, which is the result of `precision`.
         """
         problem, history = self.problem, self.history
         while True:
@@ -236,14 +230,9 @@ def conjugate_gradients(
     Collective. The result does not say which of the limits ended the iteration: the caller judges
     the step.
 
-    Args:
-        problem: the dual problem (38.4), for A and the inner product.
-        free: (size,) True for multipliers that may change.
-        gradient: (size,) r at s = 0.
-        tolerance: norm of r + A s in the free rows at which the iteration ends.
-        feasible: function that returns whether the multipliers after a step s lie in Lambda, with
-            the same result on all ranks. The iteration ends before the first step that leaves
-            Lambda (CGM_feas).
+    The gradient r is that at s = 0. The iteration ends when the norm of r + A s in the free rows is
+    at most the tolerance, or before the first step s for which `feasible` is False, equally on all
+    ranks (CGM_feas).
 
     Returns:
         s (size,), zero where multipliers are not free, and A s (size,) in all rows, from the

@@ -92,11 +92,8 @@ class DualProblem(InnerProduct, Protocol):
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
-        Args:
-            x: (size,) multipliers.
-            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
-                norm of the displacement's error. If the solver cannot reach this accuracy, e is
-                larger.
+        The accuracy is the requested error; if the solver for K cannot reach it, the error is
+        larger.
         """
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
@@ -124,9 +121,7 @@ class DualProblem(InnerProduct, Protocol):
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        Args:
-            x: (size,) multipliers; an approximate solution is sufficient.
-            c: (k,) multipliers of the equality constraints.
+        An approximate solution is sufficient.
         """
 
 

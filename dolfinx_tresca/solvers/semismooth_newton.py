@@ -164,11 +164,9 @@ class SemismoothNewton:
         product improves and without constraints, which are to hold to rounding), or where it has
         not decreased in `PATIENCE` steps.
 
-        Args:
-            start: initial guess.
-            tolerance: residual of a point that solves the equations.
-            softer: factor on the softness in the first step; if it is not 1, steps are halved
-                `FEWER_HALVINGS` times at most.
+        The tolerance is the residual of a point that solves the equations. The softness in the
+        first step is multiplied by `softer`; if this is not 1, steps are halved `FEWER_HALVINGS`
+        times at most.
         """
         point = best = start
         softness, idle = softer * self.softness, 0
@@ -267,11 +265,6 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
     """Return an approximate solution of the contact problem with a model of A. Collective.
 
     Needs no product with A.
-
-    Args:
-        problem: the dual problem, with friction cones and constraints.
-        model: model M of A.
-        start: point in the cones, with the gradient for A.
     """
     newton = SemismoothNewton(problem, model)
     guess = newton.point(start.x, start.c, start.r)
@@ -302,12 +295,7 @@ def solve_from_other_guesses(
     solutions of convex problems, the first without slip, each other one with the slips of the
     solution before.
 
-    Args:
-        newton: Newton's method, which has failed.
-        model: model of A in Newton's method.
-        start: initial guess with which Newton's method failed.
-        best: result of this failed run.
-        tolerance: requested residual.
+    Newton's method has failed from the start; its result is `best`.
     """
     problem, G = newton.problem, newton.problem.constraints.columns
     r = start.r - model.apply(start.x) + G @ start.c
@@ -348,11 +336,7 @@ def solve_model(
     product with D costs one solve with a small matrix, and no solve with K. Products with D are
     kept until the products with A are dropped. Collective.
 
-    Args:
-        problem: the cones, D, and the known products with D and A.
-        start: point in the cones.
-        residual: the natural residual, with its step length.
-        tolerance: requested natural residual, with the model in place of A.
+    The tolerance is a natural residual, with the model in place of A.
     """
     store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:
