@@ -62,6 +62,8 @@ class DenseProblem(OneRank):
     cones: FrictionCones | None = None
     is_load_step: bool = False
     is_too_large: bool = False  # to compute A whole
+    exact: bool = True
+    b_error: float = 0.0
     store: KnownProducts = field(init=False)
 
     def __post_init__(self) -> None:
@@ -125,16 +127,6 @@ class DenseProblem(OneRank):
         """Return A x."""
         self.arguments.append(x.copy())
         return self.A @ x
-
-    @property
-    def exact(self) -> bool:
-        """Whether products are exact."""
-        return True
-
-    @property
-    def b_error(self) -> float:
-        """Error of b: none."""
-        return 0.0
 
     @property
     def b_terms(self) -> np.ndarray:

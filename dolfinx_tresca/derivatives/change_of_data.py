@@ -49,9 +49,6 @@ class NodalField(NamedTuple):
     """A user's scalar field, such as a gap, at the nodes of a pair, and its effect on the data.
 
     Attributes:
-        field: the scalar as the user gave it.
-        name: name of the scalar in errors.
-        nodes: (n,) local numbers of the nodes.
         effect: (size + n_discs, n) derivatives of the offsets (d; s), divided by
             `JumpOperator.length_scale`, and of the radii, with respect to the nodal values.
     """

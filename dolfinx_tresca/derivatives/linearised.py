@@ -69,9 +69,6 @@ class LinearisedContact:
     """A solution with the problem that it solves, and the contact states that derivatives keep.
 
     Attributes:
-        dual: the dual problem of the solve.
-        multipliers: (size,) multipliers x of the solution.
-        u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
     """
 

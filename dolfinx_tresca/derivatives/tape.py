@@ -37,8 +37,6 @@ class _Recorded:
     """An accepted step.
 
     Attributes:
-        contact: the solution.
-        moved: whether an obstacle has moved in this step.
         values: values of all inputs of the problem in this step.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         laws: `ContactSystem.law_values` of the step.

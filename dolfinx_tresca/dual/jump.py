@@ -58,8 +58,6 @@ class JumpOperator(PetscOwner):
     Owns PETSc objects: call `destroy()`. The caller keeps the linear system.
 
     Attributes:
-        system: linear system of the displacements.
-        pairs: rows, nodes and gaps of each pair.
         frames: the frames of bodies that have turned; None: there are none.
         slices: the positions of each pair's normal and tangential multipliers.
         nodes: the positions of each pair's nodes among the nodes of all pairs.
@@ -74,7 +72,6 @@ class JumpOperator(PetscOwner):
         discs: Lambda with infinite slip bounds. The tangential rows of a node share one disc. At
             nodes with friction along only one of two tangents, the frictionless row has a disc of
             its own; these discs come after the discs of all nodes.
-        reductions: sums over the ranks.
         work: a vector of unknowns, whose values the next call of any method may change.
     """
 

@@ -178,7 +178,7 @@ class NodalValues:
         slopes = self.slopes(field, control, ufl.TestFunction(space), nodes, name)
         if slopes is None:
             return None
-        dofs, terms = dofmap.list[self._places(nodes)[0]], weights[:, None] * slopes
+        dofs, terms = dofmap.list[self._places[0, nodes]], weights[:, None] * slopes
         sums = summed_at_nodes(dofmap.index_map, dofs, terms[..., None])
         return sums[: dofmap.index_map.size_local, 0]
 
@@ -257,17 +257,12 @@ class NodalValues:
             self._compiled[expression] = fem.Expression(
                 unity * expression, interpolation_points(self._V.element)
             )
-        cells, points = self._places(nodes)
+        cells, points = self._places[:, nodes]
         sampled = self._compiled[expression].eval(self._V.mesh, cells)
         count = self._V.dofmap.list.shape[1]
         at_points = sampled.reshape(len(cells), count, prod(sampled.shape[1:]) // count)
         values: Array = at_points[np.arange(len(cells)), points]
         return values
-
-    def _places(self, nodes: LocalNumbers) -> tuple[LocalNumbers, LocalNumbers]:
-        """Return for each node (n,) the first cell that has it, and its place in this cell."""
-        cells, points = np.divmod(self._first_seen[nodes], self._V.dofmap.list.shape[1])
-        return cells, points
 
     @cached_property
     def _points(self) -> Array:
@@ -276,9 +271,9 @@ class NodalValues:
         return points
 
     @cached_property
-    def _first_seen(self) -> LocalNumbers:
-        """The first position of each node in the cells' list of nodes."""
+    def _places(self) -> LocalNumbers:
+        """For each node the first cell that has it, and its place in this cell, (2, nodes)."""
         cells = self._V.dofmap.list
-        result = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
-        result[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
-        return result
+        first = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
+        first[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
+        return np.array(np.divmod(first, cells.shape[1]))

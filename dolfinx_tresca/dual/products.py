@@ -297,8 +297,6 @@ class ContactCompliance(PetscOwner):
     Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
-        jump: B.
-        solver: solver for K.
         springs: the springs that are in the solver's K, but not in the system's K; None if no body
             floats or is held softly.
         exact: whether products are exact to rounding (a direct solver for K).

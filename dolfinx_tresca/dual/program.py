@@ -61,9 +61,6 @@ class DualProgram:
     with an iterative one, only as accurate as requested.
 
     Attributes:
-        compliance: A, and all data that depend on K only.
-        jump: B.
-        reductions: sums over all ranks, and values on which all ranks agree.
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
             at which the slip of this solve is zero; less the jumps of the frames of bodies that
             have turned.
@@ -73,7 +70,6 @@ class DualProgram:
         equilibrium: equilibrium of tools, floating and softly held bodies; None if there are none.
         constraints: linear equations of the multipliers: this equilibrium.
         of_tools: positions of the motions of tools among the multipliers of the constraints.
-        history: slip and dissipation of the accepted load steps.
         is_load_step: whether this is a load step of a process: a step was accepted before.
     """
 

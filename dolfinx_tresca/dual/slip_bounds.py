@@ -191,11 +191,7 @@ def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]
 
 
 class SlipBounds:
-    """Evaluates slip bounds at nodes of a vector space.
-
-    Attributes:
-        values: object that evaluates any field of the user at nodes of the space.
-    """
+    """Evaluates slip bounds at nodes of a vector space."""
 
     def __init__(self, V: Any) -> None:
         """Keep the space of the displacements."""

@@ -81,7 +81,6 @@ class Tools:
 
     Attributes:
         motions: the motions; those of a tool follow one another.
-        bodies: the bodies of the mesh.
         jumps: (size, k) G, sparse.
     """
 
@@ -147,8 +146,6 @@ class Equilibrium:
     loads.
 
     Attributes:
-        constraints: the equations of equilibrium G'lambda + S c = e.
-        bodies: the bodies, with the displacements that the modes U are multiples of.
         factors: (k,) the factors of these multiples, such that a column of G has length 1, or a
             smaller length if S resists its mode more than contact does.
     """
@@ -190,12 +187,10 @@ class FloatingBodies:
     motions of tools follow the modes of bodies, with U = 0.
 
     Attributes:
-        modes: the rigid body modes R.
         displacements: U (owned degrees of freedom, k), sparse, which forces of the springs that fix
             the bodies alone cause.
         stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse.
-        tools: the tools; None if there are none.
     """
 
     modes: RigidBodyModes

@@ -30,8 +30,6 @@ class RigidBodyModes:
     """Rigid body modes R, orthonormal in the degrees of freedom, that K hardly resists.
 
     Attributes:
-        comm: communicator of the mesh.
-        bodies: the bodies of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
         stiffness: (k,) approximate stiffness against deformation of the body that the mode moves,
             for a displacement vector of length 1.
@@ -208,9 +206,6 @@ class FixingSprings:
     force. On softly held bodies, which soft springs of the scene hold, the displacements of the
     `response` cancel the effect of the fixing springs. (The nodes on which springs act correspond
     to the fixing nodes of Brzobohaty et al. 2011.)
-
-    Attributes:
-        modes: the rigid body modes R that the springs resist.
     """
 
     modes: RigidBodyModes

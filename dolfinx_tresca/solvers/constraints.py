@@ -69,7 +69,6 @@ class EqualityConstraints:
         values: (k,) e.
         sizes: (k,) sums of the absolute values of the terms of e, from which rounding errors are
             estimated.
-        reductions: sums over the ranks.
     """
 
     columns: csr_array
