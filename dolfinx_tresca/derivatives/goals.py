@@ -26,7 +26,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, unit
 from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.derivatives.change_of_data import (
@@ -86,7 +86,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     if isinstance(goal, NormalForce):
         on_x[n] = pair.weights[i]
     elif isinstance(goal, ContactForce):
-        along = _unit(goal.direction)
+        along = unit(np.array(goal.direction))
         on_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
         on_x[t] = -pair.weights[j] * (pair.tangents @ along)
     elif isinstance(goal, PressureNorm):
@@ -114,7 +114,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
         if isinstance(goal, MeanPressure):
             on_x[n] = share[i]
         if isinstance(goal, MeanSlip):
-            on_jump[t] = share[j] * (pair.tangents @ _unit(goal.direction))
+            on_jump[t] = share[j] * (pair.tangents @ unit(np.array(goal.direction)))
     return on_jump * jump.length_scale, on_x * jump.stress_scale
 
 
@@ -140,12 +140,6 @@ def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     values.array = _bump(goal, owned)
     matrix.mult(values, means)
     return np.array(means.array)
-
-
-def _unit(direction: object) -> Array:
-    """Return a vector of length 1."""
-    vector = np.asarray(direction, dtype=np.float64)
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 @dataclass(frozen=True)
@@ -337,8 +331,8 @@ def gradient(
             by_controls.append(values)
             continue
         values = np.zeros(control.value.size)
-        for k, unit in enumerate(np.eye(len(values))):
-            direction = unit.reshape(control.ufl_shape)
+        for k, along in enumerate(np.eye(len(values))):
+            direction = along.reshape(control.ufl_shape)
             change = data.change([control], [direction])
             values[k] = inner(derivatives.load, change.load) + inner(derivatives.laws, change.laws)
             for weight, goal in goals:

@@ -9,8 +9,6 @@ from functools import cached_property, partial
 from math import prod
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 import ufl
@@ -22,7 +20,7 @@ from ufl.domain import extract_domains
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, summed_at_nodes
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import ScalarField, VectorField
 
@@ -92,16 +90,14 @@ def central_differences(
     """
     given = values_of(control).copy()
     result: Array | None = None
-    own_size = float(reduce_array(comm, np.abs(given).max(initial=0.0), MPI.MAX))
-    for size in (own_size, *SIZES):
+    for size in (*largest_sizes(comm, given), *SIZES):
         ends = []
         for end in (DIFFERENCE * size, -DIFFERENCE * size):
             for direction in directions:
                 with replaced([control], [given + end * direction]):
                     ends.append(values())
         high, low = np.split(np.array(ends), 2)
-        sizes = [np.abs(values).max(initial=0.0) for values in (high - low, high, low)]
-        change, *largest = reduce_array(comm, sizes, MPI.MAX)
+        change, *largest = largest_sizes(comm, high - low, high, low)
         is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
         if change > 0.0 and (is_useful or result is None):
             result = np.asarray((high - low) / (2.0 * DIFFERENCE * size))

@@ -19,7 +19,7 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
 from dolfinx_tresca._base.bodies import label_bodies, labels_of
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes
 from dolfinx_tresca._base.petsc import (
     PetscOwner,
     dense_matrix,
@@ -448,6 +448,5 @@ class ContactCompliance(PetscOwner):
         """Size of the pressures [stress] that the rounding of coordinates causes. Collective."""
         jump = self.jump
         stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
-        largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]
-        stiffness, extent = reduce_array(jump.comm, largest, MPI.MAX)
-        return float(ROUNDING * extent * stiffness)
+        stiffness, extent = largest_sizes(jump.comm, stress, jump.system.V.mesh.geometry.x)
+        return ROUNDING * extent * stiffness

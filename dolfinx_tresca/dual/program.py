@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
@@ -152,7 +152,7 @@ class DualProgram:
     def _check_units(self) -> None:
         """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
         force = self._load.norm(PETSc.NormType.INFINITY)
-        largest = float(reduce_array(self.jump.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
+        (largest,) = largest_sizes(self.jump.comm, self.b)
         least = 1.0 / LARGEST_SIZE
         for name, size in (("load", force), ("displacement it causes", largest)):
             if size > LARGEST_SIZE or (largest < least and 0.0 < size < least):

@@ -139,7 +139,20 @@ class SemismoothNewton:
         The number `softness` is added to S for the change of c only, as in a proximal point method:
         solutions of the problem remain solutions.
         """
-        constraints, x, c, r = self.problem.constraints, point.x, point.c, point.r
+        constraints = self.problem.constraints
+        settled, maps, right = self.equations(point)
+        change, change_c = self.model.solve_between(
+            maps,
+            right,
+            constraints.columns,
+            constraints.softness_with(softness),
+            constraints.residual(settled, point.c),
+        )
+        return settled + change - point.x, change_c
+
+    def equations(self, point: NewtonPoint) -> tuple[Array, NodalMaps, Array]:
+        """Return the multipliers from which a step begins, its maps, and its right-hand side."""
+        x, r = point.x, point.r
         target = x - self.rho * r
         admissible = self.problem.admissible.at_point(x, r, target)
         section = admissible.section(x)
@@ -147,14 +160,8 @@ class SemismoothNewton:
         settled = section.on_face(x, face)
         r = r + self.model.apply(settled - x)
         diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
-        change, change_c = self.model.solve_between(
-            NodalMaps.on_face(admissible, settled, face, diagonal, stiffness),
-            -r - admissible.slip_along(face),
-            constraints.columns,
-            constraints.softness_with(softness),
-            constraints.residual(settled, c),
-        )
-        return settled + change - x, change_c
+        maps = NodalMaps.on_face(admissible, settled, face, diagonal, stiffness)
+        return settled, maps, -r - admissible.slip_along(face)
 
     def solve(self, start: NewtonPoint, tolerance: float, softer: float = 1.0) -> NewtonPoint:
         """Return the point with the least residual.
@@ -240,25 +247,18 @@ class ConvexNewton(SemismoothNewton):
         unbalanced = self.problem.constraints.residual(x, c)
         return NewtonPoint(x, c, r, self.energy(change, unbalanced))
 
-    def step(self, point: NewtonPoint, softness: float) -> tuple[Array, Array]:
-        """Return the changes of x and c by a whole Newton step from a point.
+    def equations(self, point: NewtonPoint) -> tuple[Array, NodalMaps, Array]:
+        """Return the multipliers from which a step begins, its maps, and its right-hand side.
 
         With the derivative D of the projection at z, and its result y = P_K(z), the step ends at
         y + v with ((I - D) / rho + D M) v - D G c = D (M (x - y) - (x - y) / rho).
         """
-        constraints, z = self.problem.constraints, point.x - self.rho * (point.r + self.opening)
+        z = point.x - self.rho * (point.r + self.opening)
         derivative, settled = self.cones.projection_derivative(z), self.cones.project(z)
         residual, identity = point.x - settled, eye_array(len(z))
         added = diags_array(1.0 / self.rho) @ (identity - derivative)
         maps = NodalMaps(test=derivative, added=added, inverse=identity)
-        change, change_c = self.model.solve_between(
-            maps,
-            self.model.apply(residual) - residual / self.rho,
-            constraints.columns,
-            constraints.softness_with(softness),
-            constraints.residual(settled, point.c),
-        )
-        return change - residual, change_c
+        return settled, maps, self.model.apply(residual) - residual / self.rho
 
 
 def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonPoint:
