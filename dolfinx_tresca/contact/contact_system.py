@@ -270,7 +270,7 @@ class ContactSystem(ContactSurfaces):
         """
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
-        if not isinstance(cones, FrictionCones) or cones.curves is None:
+        if not isinstance(cones, FrictionCones) or not cones.curves.of_discs:
             return []
         arguments = cones.curve_arguments(x)
         for curve in arguments:

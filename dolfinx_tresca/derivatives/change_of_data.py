@@ -392,9 +392,6 @@ def inputs_of_problem(system: ContactSystem) -> list[Any]:
     Those that users' functions of pressure or slip read are found in the functions' closures. What
     places rigid obstacles is not among them. Values of Dirichlet conditions may be C++ objects of
     DOLFINx; `values_of` accepts them, too.
-
-    Raises:
-        InputError: `a` or `L` is no form of UFL (from `ufl_forms`).
     """
     inputs: list[Any] = []
     for form in system.linear.ufl_forms:

@@ -77,7 +77,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     the sum of its derivatives times B u and x.
 
     Raises:
-        InputError: see `value_of`.
+        InputError: the patch of the goal has no node of the pair.
     """
     rows = jump.by_pair[goal.pair]
     pair, n, t = rows.operators, rows.normal, rows.tangential
@@ -212,10 +212,6 @@ def goal_error(
 
     The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
     that of the iteration [energy^(1/2)].
-
-    Raises:
-        InputError: the patch of the goal has no node of the pair.
-        ConvergenceError: the adjoint has no solution.
     """
     dual, jump, x = contact.dual, contact.dual.jump, contact.multipliers
     products_before = dual.compliance.products

@@ -176,9 +176,6 @@ class LinearisedContact:
         residuals), which needs no symmetry. Its preconditioner is the same system, with A replaced
         by its model from all known products, including products of this call. The equation
         G'y + S c = missing therefore holds from the first step on.
-
-        Raises:
-            ConvergenceError: no solution exists.
         """
         dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
         if accuracy is None:

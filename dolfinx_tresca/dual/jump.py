@@ -173,10 +173,7 @@ class JumpOperator(PetscOwner):
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
-            **vars(lam),
-            coefficient=coefficient,
-            limit=limit,
-            curves=NodalCurves(curves, root) if curves else None,
+            **vars(lam), coefficient=coefficient, limit=limit, curves=NodalCurves(curves, root)
         )
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:

@@ -270,6 +270,6 @@ class NodalValues:
     def _places(self) -> LocalNumbers:
         """For each node the first cell that has it, and its place in this cell, (2, nodes)."""
         cells = self._V.dofmap.list
-        first = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
-        first[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
-        return np.array(np.divmod(first, cells.shape[1]))
+        first_seen = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
+        first_seen[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
+        return np.array(np.divmod(first_seen, cells.shape[1]))

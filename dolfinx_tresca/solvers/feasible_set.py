@@ -312,7 +312,7 @@ class FrictionCones(FeasibleSet):
         radius: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
-        curves: coefficients that depend on pressure and slip; None: there are none.
+        curves: coefficients that depend on pressure and slip, for some discs or none.
         slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; 0.0 for
             all discs.
     """
@@ -321,7 +321,7 @@ class FrictionCones(FeasibleSet):
 
     coefficient: Array
     limit: Array
-    curves: NodalCurves | None = None
+    curves: NodalCurves = NodalCurves((), np.ones(1))
     slip: Array | float = 0.0
 
     @property
@@ -338,7 +338,7 @@ class FrictionCones(FeasibleSet):
         Bodies are at rest before they slide: for a coefficient that falls steeply, Newton's method
         would else find the solution in which they slide.
         """
-        if self.curves is None:
+        if not self.curves.of_discs:
             return self
         pressure, slip = self.of_normals(x), self.norms(r)
         if target is not None:
@@ -394,8 +394,7 @@ class FrictionCones(FeasibleSet):
         coefficient = self._coefficients(pressure)
         grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         result = np.array([coefficient, np.zeros_like(coefficient)])
-        if self.curves is not None:
-            result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
+        result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
         return np.where(grows, result, 0.0)
 
     def exceed_limit(self, x: Array) -> Mask:
@@ -405,15 +404,11 @@ class FrictionCones(FeasibleSet):
 
     def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
         """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
-        if self.curves is None:
-            return []
         arguments = self.curves.arguments(self.of_normals(x), self.slip)
         return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
 
     def _coefficients(self, pressure: Array) -> Array:
         """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""
-        if self.curves is None:
-            return self.coefficient
         return self.curves.coefficients(self.coefficient, pressure, self.slip)
 
     def _bound(self, pressure: Array, coefficient: Array) -> Array:

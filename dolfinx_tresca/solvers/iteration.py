@@ -88,7 +88,6 @@ class Iterate:
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
         learned: whether the last step has changed the model of A, or the accuracy of gradients.
-        must_descend: whether q decreases in each step: for given slip bounds and held bodies.
     """
 
     x: Array
@@ -99,7 +98,6 @@ class Iterate:
     def __init__(self, problem: DualProblem) -> None:
         """Begin at zero, where no product is needed."""
         self._problem, self.finest, self.learned = problem, 0.0, True
-        self.must_descend = problem.admissible.has_given_bounds and len(problem.constraints) == 0
         self._is_exact = problem.compliance.exact
         # the requested error of a gradient is a part of the length of the last step; the solver
         # for K does not reach less than `_least`
@@ -164,12 +162,12 @@ class Iterate:
     def _part_to_take(self, direction: Array, product: Array) -> float:
         """Return the part of a step, at most 1, with the least q; 1 if q need not decrease.
 
-        The part is also 1 if the change of q is rounding, while that of the gradient is not.
-        Collective.
+        For given slip bounds and held bodies, q decreases in each step. The part is also 1 if the
+        change of q is rounding, while that of the gradient is not. Collective.
         """
-        if not self.must_descend:
-            return 1.0
         problem = self._problem
+        if not problem.admissible.has_given_bounds or len(problem.constraints) > 0:
+            return 1.0
         slope = float(problem.inner(direction, self.r))
         curvature = float(problem.inner(direction, product))
         rounding = PRODUCT_ROUNDING * norm(problem, self.x) * norm(problem, self.r)
