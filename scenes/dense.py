@@ -62,12 +62,14 @@ class DenseProblem(OneRank):
     cones: FrictionCones | None = None
     is_load_step: bool = False
     is_too_large: bool = False  # to compute A whole
+    exact: bool = True
+    b_error: float = 0.0
     store: KnownProducts = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin without products, and without constraints if none are given."""
         if self.constraints is None:
-            self.constraints = EqualityConstraints.none(row_nodes(self.admissible), OneRank())
+            self.constraints = EqualityConstraints.none(len(self.b), OneRank())
         self.forget()
 
     @property
@@ -125,16 +127,6 @@ class DenseProblem(OneRank):
         """Return A x."""
         self.arguments.append(x.copy())
         return self.A @ x
-
-    @property
-    def exact(self) -> bool:
-        """Whether products are exact."""
-        return True
-
-    @property
-    def b_error(self) -> float:
-        """Error of b: none."""
-        return 0.0
 
     @property
     def b_terms(self) -> np.ndarray:
@@ -296,17 +288,6 @@ def random_balanced_problem(
     return problem
 
 
-def row_nodes(cones: FeasibleSet) -> npt.NDArray[np.intp]:
-    """A number for each multiplier, equal for those of one disc, and of one cone."""
-    result = np.arange(cones.size)
-    for disc in range(len(cones.radius)):
-        rows = cones.tangential[cones.node == disc]
-        if isinstance(cones, FrictionCones) and cones.normal_of[disc] >= 0:
-            rows = np.append(rows, cones.normal_of[disc])
-        result[rows] = rows.min(initial=cones.size)
-    return result
-
-
 class LoadedBodies(FloatingBodies):
     """Bodies under loads that are given by their resultants and the sizes of their terms."""
 
@@ -328,8 +309,7 @@ def equilibrium(
     springs = csr_array(stiffness * np.eye(k))
     springs.eliminate_zeros()
     modes: Any = SimpleNamespace(body=np.zeros(k, dtype=np.int64), describe=describe)
-    nodes = row_nodes(feasible_set)
-    bodies = LoadedBodies(modes, csr_array(np.eye(k)), springs, csr_array(jumps), nodes)
+    bodies = LoadedBodies(modes, csr_array(np.eye(k)), springs, csr_array(jumps))
     given: Any = loads, sizes
     return bodies.under(given, feasible_set, OneRank()).constraints
 

@@ -579,7 +579,7 @@ class ContactSystem(PetscOwner):
         """Return the friction curves, checked at the points of a solution. Collective."""
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
-        if not isinstance(cones, FrictionCones) or cones.curves is None:
+        if not isinstance(cones, FrictionCones) or not cones.curves.of_discs:
             return []
         arguments = cones.curve_arguments(x)
         for curve in arguments:

@@ -49,9 +49,6 @@ class NodalField(NamedTuple):
     """A user's scalar field, such as a gap, at the nodes of a pair, and its effect on the data.
 
     Attributes:
-        field: the scalar as the user gave it.
-        name: name of the scalar in errors.
-        nodes: (n,) local numbers of the nodes.
         effect: (size + n_discs, n) derivatives of the offsets (d; s), divided by
             `JumpOperator.length_scale`, and of the radii, with respect to the nodal values.
     """
@@ -143,17 +140,10 @@ def moved_rows(
 ) -> MovedRows | None:
     """Return the central differences of B in a direction of a Constant. Collective.
 
-    Args:
-        system: the problem, after a solve.
-        contact: the solution.
-        constant: the Constant, on which positions of obstacles may depend.
-        direction: change of the Constant, an array of the shape of its value.
-        in_all_steps: whether the Constant changes in all load steps so far. If not, it changes only
-            after the last accepted step: the slip of the accepted steps stays the same vector at
-            each node, whose components change with the tangents.
-
-    Returns:
-        the differences; None if no obstacle moves along its normals.
+    The direction has the shape of the Constant's value. Unless the Constant changes `in_all_steps`
+    so far, it changes only after the last accepted step: the slip of the accepted steps stays the
+    same vector at each node, whose components change with the tangents. The result is None if no
+    obstacle moves along its normals.
 
     Raises:
         InputError: an obstacle moves in the load step of the last solve, or a node faces the
@@ -226,11 +216,8 @@ class DataOfSolution:
     ) -> None:
         """Keep what data depend on. Collective.
 
-        Args:
-            system: the problem.
-            residual: internal minus external forces at u, a form of rank 1.
-            u: displacement in the form, to which `linearise` gives the values of a solution.
-            in_all_steps: see `moved_rows`.
+        The `residual` is internal minus external forces at u, a form of rank 1; `linearise` gives u
+        the values of a solution. `moved_rows` explains `in_all_steps`.
         """
         self.system, self.u, self.comm = system, u, system.comm
         self._residual, self._in_all_steps = residual, in_all_steps
@@ -242,8 +229,7 @@ class DataOfSolution:
     def check_controls(self, controls: Any) -> None:
         """Check that derivatives with respect to controls are known. Collective.
 
-        Args:
-            controls: the user's argument, which may have any type.
+        The argument is the user's, of any type.
 
         Raises:
             InputError: controls are no list of Constants and Functions; or a direction or two
@@ -272,9 +258,6 @@ class DataOfSolution:
 
         In forms, the displacement of the solution replaces the `u` of a nonlinear problem.
 
-        Args:
-            goal: the user's argument, which may have any type.
-
         Raises:
             InputError: the argument is neither a goal of this problem nor a form of rank 0.
         """
@@ -296,12 +279,7 @@ class DataOfSolution:
     def change(self, controls: Sequence[Control], directions: Sequence[Any]) -> DataVector:
         """Return the change of the data along a direction of controls. Collective.
 
-        Args:
-            controls: Constants and Functions.
-            directions: their changes, an array for a Constant, a Function for a Function.
-
-        Raises:
-            InputError: the derivative with respect to a control is not known.
+        The direction of a Constant is an array, that of a Function is a Function.
         """
         contact, prescribed = self.contact, self.system.linear.prescribed
         jump, x = contact.dual.jump, contact.multipliers
@@ -320,11 +298,11 @@ class DataOfSolution:
             forces -= self.derivative(self._residual, control, direction)
             values += self._prescribed_by(control, flat(direction))
             for scalar in self._fields:
-                rates = self._values.pushed_forward(
+                rates = self._values.slopes(
                     scalar.field, control, direction, scalar.nodes, scalar.name
                 )
                 if rates is not None:
-                    laws += scalar.effect @ rates
+                    laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
             rows = moved_rows(self.system, contact, control, direction, self._in_all_steps)
@@ -339,12 +317,7 @@ class DataOfSolution:
 
         Collective.
 
-        Args:
-            control: the Function.
-            derivatives: derivatives of the output with respect to the data.
-
-        Raises:
-            InputError: the derivative with respect to the Function is not known.
+        The other `derivatives` are those with respect to the data.
         """
         prescribed = self.system.linear.prescribed
         self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
@@ -370,12 +343,8 @@ class DataOfSolution:
 
         DOLFINx does not say which values these are: the effect of the conditions shows it.
 
-        Args:
-            control: a Constant or a Function.
-            values: values that the control takes.
-
-        Returns:
-            (owned degrees of freedom,) prescribed values, zero where they are no control's value.
+        The control takes the given values. The result (owned degrees of freedom,) is zero where no
+        condition takes a value from it.
         """
         ends = np.zeros((2, len(self.u.x.array)))
         for prescribed, given in zip(ends, (values, np.zeros_like(values)), strict=True):
@@ -387,14 +356,9 @@ class DataOfSolution:
     def derivative(self, form: Any, control: Control, direction: Any = None) -> Any:
         """Return the derivative of a form by a control; 0 if it does not depend on it. Collective.
 
-        Args:
-            form: a form; of rank 0 if there is no direction.
-            control: a Constant or a Function.
-            direction: change of the control: values of a Constant, or a Function; None: the result
-                has one value for each value of the Function.
-
-        Returns:
-            a number, or the entries (owned degrees of freedom,) of a vector.
+        Without a direction, the form has the rank 0, and the result has one value for each value of
+        the Function. A direction gives values of a Constant, or is a Function; the result is then a
+        number, or the entries (owned degrees of freedom,) of a vector.
         """
         if control not in (*form.constants(), *form.coefficients()):
             return 0.0
@@ -428,9 +392,6 @@ def inputs_of_problem(system: ContactSystem) -> list[Any]:
     Those that users' functions of pressure or slip read are found in the functions' closures. What
     places rigid obstacles is not among them. Values of Dirichlet conditions may be C++ objects of
     DOLFINx; `values_of` accepts them, too.
-
-    Raises:
-        InputError: `a` or `L` is no form of UFL (from `ufl_forms`).
     """
     inputs: list[Any] = []
     for form in system.linear.ufl_forms:

@@ -26,7 +26,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, unit
 from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca.derivatives.change_of_data import (
@@ -64,11 +64,7 @@ DOUBT = {1: 0.15, 2: 0.25}
 
 
 def value_of(goal: Goal, x: Array, jump: JumpOperator, jump_of_u: Array) -> float:
-    """Return the value of a goal for multipliers x (size,) and a jump B u (size,). Collective.
-
-    Raises:
-        InputError: the patch of the goal has no node of the pair.
-    """
+    """Return the value of a goal for multipliers x (size,) and a jump B u (size,). Collective."""
     on_jump, on_x = weights_of(goal, jump, x)
     inner = jump.reductions.inner
     return float(inner(on_jump, jump_of_u) + inner(on_x, x))
@@ -81,7 +77,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     the sum of its derivatives times B u and x.
 
     Raises:
-        InputError: see `value_of`.
+        InputError: the patch of the goal has no node of the pair.
     """
     rows = jump.by_pair[goal.pair]
     pair, n, t = rows.operators, rows.normal, rows.tangential
@@ -90,7 +86,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     if isinstance(goal, NormalForce):
         on_x[n] = pair.weights[i]
     elif isinstance(goal, ContactForce):
-        along = _unit(goal.direction)
+        along = unit(np.array(goal.direction))
         on_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
         on_x[t] = -pair.weights[j] * (pair.tangents @ along)
     elif isinstance(goal, PressureNorm):
@@ -118,7 +114,7 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
         if isinstance(goal, MeanPressure):
             on_x[n] = share[i]
         if isinstance(goal, MeanSlip):
-            on_jump[t] = share[j] * (pair.tangents @ _unit(goal.direction))
+            on_jump[t] = share[j] * (pair.tangents @ unit(np.array(goal.direction)))
     return on_jump * jump.length_scale, on_x * jump.stress_scale
 
 
@@ -144,12 +140,6 @@ def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     values.array = _bump(goal, owned)
     matrix.mult(values, means)
     return np.array(means.array)
-
-
-def _unit(direction: object) -> Array:
-    """Return a vector of length 1."""
-    vector = np.asarray(direction, dtype=np.float64)
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 @dataclass(frozen=True)
@@ -220,15 +210,8 @@ def goal_error(
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
-    Args:
-        goal: the goal.
-        contact: the solution.
-        u: displacement of the solution, with the rigid motions of bodies that have turned.
-        energy_error: error of the iteration in the energy norm [energy^(1/2)].
-
-    Raises:
-        InputError: the patch of the goal has no node of the pair.
-        ConvergenceError: the adjoint has no solution.
+    The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
+    that of the iteration [energy^(1/2)].
     """
     dual, jump, x = contact.dual, contact.dual.jump, contact.multipliers
     products_before = dual.compliance.products
@@ -300,16 +283,9 @@ def gradient(
     other node s is its tangential jump T u in the previous step. So y carries the derivatives of a
     step's goals back to the previous step.
 
-    Args:
-        data: the data of the solution.
-        goals: pairs of a factor and a goal; a goal may be a form of rank 0 that depends on u.
-        controls: the Constants and Functions.
-        on_origin: (size,) derivatives of further terms with respect to the slip origin of the next
-            step; None: zeros.
-
-    Returns:
-        for each control the derivatives with respect to its values (for a Function, those that this
-        rank owns); and (size,) the derivatives with respect to the slip origin of this step.
+    The result has for each control the derivatives with respect to its values (for a Function,
+    those that this rank owns), and the derivatives (size,) with respect to the slip origin of this
+    step.
 
     Raises:
         InputError: the patch of a goal has no node, or a form does not depend on u; or the
@@ -351,8 +327,8 @@ def gradient(
             by_controls.append(values)
             continue
         values = np.zeros(control.value.size)
-        for k, unit in enumerate(np.eye(len(values))):
-            direction = unit.reshape(control.ufl_shape)
+        for k, along in enumerate(np.eye(len(values))):
+            direction = along.reshape(control.ufl_shape)
             change = data.change([control], [direction])
             values[k] = inner(derivatives.load, change.load) + inner(derivatives.laws, change.laws)
             for weight, goal in goals:
@@ -377,12 +353,7 @@ def explicit_rate(
     A form of rank 0 may depend on controls, and a goal such as a force depends on the position of
     obstacles through normals and tangents.
 
-    Args:
-        data: the data of the solution.
-        goal: a goal, or a form of rank 0.
-        controls: Constants and Functions.
-        directions: their changes.
-        change: the change of the data that these changes cause.
+    The `change` of the data is that which the changes of the controls cause.
     """
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)
@@ -396,15 +367,8 @@ def as_derivatives(
 ) -> list[Any]:
     """Return derivatives of `gradient` as arrays and Functions. Collective.
 
-    Args:
-        values: for each control the derivatives with respect to its values, or the number 0. If
-            they are all zero, the log says so.
-        controls: the Constants and Functions to which the derivatives belong.
-        comm: communicator.
-        when: words that say in the log to which of several load steps the values belong.
-
-    Returns:
-        for each Constant an array of its shape, for each Function a Function on its space.
+    For each control the values may be the number 0; if they are all zero, the log says so, and
+    `when`: the words say to which of several load steps the values belong.
     """
     result: list[Any] = []
     for control, derivatives in zip(controls, values, strict=True):
@@ -495,16 +459,6 @@ def tangent_of(
     """Return the change of a solution: two solves with K and some products with A. Collective.
 
     Each node keeps its contact state; see `linearised` for the equations.
-
-    Args:
-        data: the data of the solution.
-        surfaces: secondary surfaces of the pairs.
-        controls: Constants and Functions that change.
-        directions: changes of the controls, see `checked_directions`.
-
-    Raises:
-        InputError: the derivative with respect to a control is not known.
-        ConvergenceError: the tangent has no solution.
     """
     contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
     x, linear = contact.multipliers, jump.system

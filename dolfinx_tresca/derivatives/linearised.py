@@ -69,9 +69,6 @@ class LinearisedContact:
     """A solution with the problem that it solves, and the contact states that derivatives keep.
 
     Attributes:
-        dual: the dual problem of the solve.
-        multipliers: (size,) multipliers x of the solution.
-        u: displacement of the solution [length].
         bounds: slip bounds at the nodes of each pair.
     """
 
@@ -132,11 +129,9 @@ class LinearisedContact:
         Here du is a displacement and dx (size,) are multipliers, see the module. Products with A
         are kept for later solves. Collective.
 
-        Args:
-            force: (owned degrees of freedom,) change df of the right-hand side of K u = f; rows of
-                prescribed values have the change of these values.
-            offset: (size,) change of (d; s), divided by `JumpOperator.length_scale`.
-            radius: (n_discs,) change of the radii of the discs.
+        The force (owned degrees of freedom,) is df, in rows of prescribed values the change of
+        these values. The offset (size,) is the change of (d; s), divided by
+        `JumpOperator.length_scale`, and the radius (n_discs,) that of the discs.
 
         Raises:
             ConvergenceError: no tangent exists.
@@ -155,12 +150,8 @@ class LinearisedContact:
         Here z is a displacement, zero where u is prescribed, and y (size,) are multipliers, see the
         module. Products with A are kept for later solves.
 
-        Args:
-            on_jump: (size,) derivative of the goal with respect to B u.
-            on_x: (size,) derivative of the goal with respect to x.
-            on_u: (owned degrees of freedom,) derivative of the goal with respect to u, zero where u
-                is prescribed; None: zeros.
-            accuracy: relative error of y in the energy norm; None: `ACCURACY`.
+        The vector on_u (owned degrees of freedom,) is zero where u is prescribed. The relative
+        error of y in the energy norm is at most the accuracy; None: `ACCURACY`.
 
         Raises:
             ConvergenceError: no adjoint exists.
@@ -185,9 +176,6 @@ class LinearisedContact:
         residuals), which needs no symmetry. Its preconditioner is the same system, with A replaced
         by its model from all known products, including products of this call. The equation
         G'y + S c = missing therefore holds from the first step on.
-
-        Raises:
-            ConvergenceError: no solution exists.
         """
         dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
         if accuracy is None:
@@ -278,12 +266,7 @@ class LinearisedContact:
         return v, y
 
     def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
-        """Return T and the other maps of `NodalMaps`, for `_solve`. Not collective.
-
-        Args:
-            diagonal: (size,) diagonal D of the model of A.
-            transpose: whether the maps are those of the adjoint.
-        """
+        """Return T and the other maps of `NodalMaps`, for `_solve`. Not collective."""
         (face, curvature, change), x = self._states, self.multipliers
         if not transpose:
             cones = self.dual.admissible.at_point(x, self.gradient)
@@ -307,10 +290,7 @@ class _FollowedDisplacement:
     def __init__(self, dual: DualProgram, f: PETSc.Vec, v: PETSc.Vec) -> None:
         """Begin with y = 0, before any solve. Not collective.
 
-        Args:
-            dual: the problem.
-            f: right-hand side, with prescribed values in their rows.
-            v: vector of zeros for the result.
+        The right-hand side f has prescribed values in their rows; v is zero.
         """
         self._compliance, self._jump, self._f, self._v = dual.compliance, dual.jump, f, v
         self._error = 0.0
@@ -345,13 +325,7 @@ class _FollowedDisplacement:
     def product(self, y: Array, step: Array, length: float) -> tuple[Array, float, Array]:
         """Return A s (size,) for a step s from y, its error, and the step of `values`. Collective.
 
-        Args:
-            y: (size,) present multipliers.
-            step: (size,) s.
-            length: the energy norm sqrt(s'A s), approximately.
-
-        Returns:
-            the product, the norm sqrt(e'A^-1 e) of its error e, and the change of `values`.
+        The length is sqrt(s'A s), approximately, and the error is in the norm sqrt(e'A^-1 e).
         """
         if self._compliance.exact:
             return self._compliance.apply(step), 0.0, np.zeros(0)

@@ -37,8 +37,6 @@ class _Recorded:
     """An accepted step.
 
     Attributes:
-        contact: the solution.
-        moved: whether an obstacle has moved in this step.
         values: values of all inputs of the problem in this step.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         laws: `ContactSystem.law_values` of the step.
@@ -212,11 +210,6 @@ class ProcessTape:
         Collective.
 
         See `gradient`.
-
-        Raises:
-            ContactError: the problem was destroyed, or K or the pairing has changed since steps
-                were recorded.
-            InputError: a goal or a control is wrong.
         """
         contact = self._contact
         contact.check_not_destroyed()
@@ -242,11 +235,7 @@ class ProcessTape:
         return result
 
     def _check_laws(self, step: _Recorded, number: int) -> None:
-        """Check that the recorded inputs give the gaps and the friction of a step. Collective.
-
-        Raises:
-            InputError: a law has other values than in the step.
-        """
+        """Check that the recorded inputs give the gaps and the friction of a step. Collective."""
         same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise InputError(
@@ -259,11 +248,6 @@ class ProcessTape:
         """Check that obstacles have not moved, and that derivatives with respect to them are known.
 
         Collective.
-
-        Raises:
-            ContactError: an obstacle is not where it was in the recorded steps.
-            InputError: an obstacle depends on a control, and either an obstacle moved while steps
-                were recorded, or there was slip when recording began.
         """
         contact, steps = self._contact, self._steps
         if contact.obstacles.changed(contact.jump).any():
@@ -283,12 +267,7 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
-        """Check goals, and return them as number of a step -> pairs (weight, goal).
-
-        Raises:
-            InputError: the goals are not a mapping from numbers of steps to goals; or see
-                `DataOfSolution.checked_goal`.
-        """
+        """Check goals, and return them as number of a step -> pairs (weight, goal)."""
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
             raise InputError(

@@ -55,11 +55,7 @@ class Lift:
         (self._w, self._jump), (self._Kw, self._multipliers) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jump: Array) -> float:
-        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective.
-
-        Args:
-            jump: (size,) this rank's rows of B w.
-        """
+        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective."""
         if self._solver is None:
             return np.inf
         self._jump.array = jump
@@ -190,9 +186,7 @@ class EnergyBound:
         The gradient r (size,) is that of the computed displacement u, d - N u and -T u. The error
         of u is at most `error` in the norm |u - K^-1 (f - B'x)|_K.
 
-        Returns:
-            the bound of |u - u*|_K; infinite if there is no bound, or if rows of B are linearly
-            dependent.
+        The bound is infinite if there is none, or if rows of B are linearly dependent.
         """
         if self._lift is None:
             return np.inf
@@ -267,10 +261,8 @@ class DiscretisationError:
     def __init__(self, a: ufl.Form, V: fem.FunctionSpace, axisymmetric: bool = False) -> None:
         """Compile the forms, and divide the cells into materials. Collective.
 
-        Args:
-            a: the bilinear form of K.
-            V: the space of the displacement, of degree 1 or 2.
-            axisymmetric: whether a is for bodies of revolution, with the factor 2 pi x[0].
+        The degree of V is 1 or 2. If `axisymmetric`, the form is that of bodies of revolution, with
+        the factor 2 pi x[0].
         """
         mesh = V.mesh
         dim = mesh.geometry.dim
@@ -324,9 +316,6 @@ class DiscretisationError:
         """Return the squared estimates (cells,) of this rank's cells [energy]. Collective.
 
         For the same displacement as in the last call, nothing is computed.
-
-        Args:
-            u: values of the displacement on this rank, with ghosts.
         """
         same = self._last is not None and np.array_equal(u, self._last[0])
         if self._last is not None and self._cells.mesh.comm.allreduce(same, op=MPI.LAND):
@@ -349,11 +338,8 @@ class DiscretisationError:
         A material is a group of cells whose stiffnesses have no large gap between them: a stiffness
         that varies gradually makes one group.
 
-        Args:
-            energy: the form that gives each cell's energy [energy] for the same displacement
-                gradient in all cells.
-            volume: the form that gives each cell's volume, or for bodies of revolution the volume
-                of the cell's ring up to a constant factor.
+        The form `energy` gives each cell's energy for the same gradient in all cells, and `volume`
+        the cells' volumes, or those of their rings up to a constant factor.
         """
         volumes = self._assembled(volume)
         stiffness = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
@@ -368,9 +354,7 @@ class DiscretisationError:
 
         Collective.
 
-        Args:
-            owned: (n,) numbers of the cells of one material, owned by this rank.
-            volumes: (cells,) volumes of all cells of this rank [length^3, in 2D length^2].
+        The `owned` cells (n,) have one material; the volumes are those of all cells.
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
@@ -410,11 +394,7 @@ def total(cells: fem.Function) -> float:
 def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
     """Return the matrix (m, n) that extrapolates from points of a cell to nodes by a polynomial.
 
-    Args:
-        cell: `basix.CellType` of the cell.
-        degree: degree of the polynomial.
-        points: (n, d) unisolvent points of the polynomial.
-        nodes: (m, d) points at which the polynomial is evaluated.
+    The `points` (n, d) of the cell must be unisolvent for polynomials of the degree.
     """
     element = basix.create_element(
         basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced, discontinuous=True
@@ -424,13 +404,7 @@ def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
 
 
 def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
-    """Return the cell integrals of a(u, u), with grad u replaced by a tensor, times a weight.
-
-    Args:
-        a: the bilinear form.
-        gradient: UFL expression of shape (dim, dim) that replaces both gradients.
-        weight: scalar UFL expression that multiplies the integrands.
-    """
+    """Return the cell integrals of a(u, u), with grad u replaced by a tensor, times a weight."""
     a = apply_derivatives(apply_algebra_lowering(a))
     zero = ufl.zero(gradient.ufl_shape[:1])  # drops terms that depend on values, such as springs
     for argument in a.arguments():

@@ -62,8 +62,6 @@ class JumpOperator(PetscOwner):
     Owns PETSc objects: call `destroy()`. The caller keeps the linear system.
 
     Attributes:
-        system: linear system of the displacements.
-        pairs: rows, nodes and gaps of each pair.
         frames: the frames of bodies that have turned; None: there are none.
         slices: the positions of each pair's normal and tangential multipliers.
         nodes: the positions of each pair's nodes among the nodes of all pairs.
@@ -78,7 +76,6 @@ class JumpOperator(PetscOwner):
         discs: Lambda with infinite slip bounds. The tangential rows of a node share one disc. At
             nodes with friction along only one of two tangents, the frictionless row has a disc of
             its own; these discs come after the discs of all nodes.
-        reductions: sums over the ranks.
         work: a vector of unknowns, whose values the next call of any method may change.
     """
 
@@ -180,20 +177,13 @@ class JumpOperator(PetscOwner):
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
-            **vars(lam),
-            coefficient=coefficient,
-            limit=limit,
-            curves=NodalCurves(curves, root) if curves else None,
+            **vars(lam), coefficient=coefficient, limit=limit, curves=NodalCurves(curves, root)
         )
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of each node's friction ellipse. Collective.
 
         The result is self if all tangents stay the same, else a new operator that the caller owns.
-
-        Raises:
-            InputError: the direction that belongs to two slip bounds is not finite, is zero, or is
-                normal to the surface.
         """
         pairs = [
             with_tangents_along_axes(self.system.V, pair, bounds)

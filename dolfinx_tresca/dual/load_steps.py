@@ -38,13 +38,7 @@ def moved_jump(
     contains the bending, which is part of N times the total displacement: the heights of curved
     edges over their chords stay as in the previous B. Bonded pairs stay the same.
 
-    Args:
-        before: the previous B.
-        pairs: the pairs of B.
-        u: displacement at which the surfaces are paired [length].
-        anew: for each pair whether its surfaces are paired at u. Other pairs, and bonded pairs in
-            any case, stay as in `before`.
-        frames: the frames of bodies that have turned.
+    Surfaces are paired at u [length] if `anew` says so for their pair, and if they are not bonded.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -86,12 +80,7 @@ def _bent_primary(
     opposite to secondary nodes. If the true surface of a side is known, primary edges are
     straight, too: the height of these surfaces over the facets is kept.
 
-    Args:
-        V: the space of the displacement.
-        straight: (nodes, dim of space) `straightened` u.
-        u: (nodes, dim of space) displacement [length].
-        pair: the pair whose primary edges are bent.
-        operators: N and T of the pair in the displaced configuration.
+    Displacements are arrays (nodes, dim of space) [length]; `straight` is `straightened` u.
     """
     sides = operators.undeformed.sides.values()
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
@@ -211,13 +200,10 @@ class SlipHistory:
     ) -> SlipHistory:
         """Return the history after a further load step. Not collective.
 
-        Args:
-            jump: B.
-            slip: (size,) slip of the step, divided by `JumpOperator.length_scale`; exactly zero at
-                sticking nodes, since residuals of the iteration would add up over the steps.
-            steps: for each pair (n, d + 1) the slip vectors of the step at its nodes, and the
-                increments of their slip paths [length].
-            dissipation: dissipation of the step [energy].
+        The slip (size,) is divided by `JumpOperator.length_scale`, and exactly zero at sticking
+        nodes, since residuals of the iteration would add up over the steps. For each pair, steps
+        (n, d + 1) are the slip vectors at its nodes and the increments of their slip paths
+        [length].
         """
         slipped = []
         for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):

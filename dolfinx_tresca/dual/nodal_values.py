@@ -9,8 +9,6 @@ from functools import cached_property, partial
 from math import prod
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 import ufl
@@ -22,7 +20,7 @@ from ufl.domain import extract_domains
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, summed_at_nodes
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import ScalarField, VectorField
 
@@ -84,31 +82,22 @@ def central_differences(
 
     No list of what a Python function reads is needed: the result is None if nothing changes.
 
-    Args:
-        comm: the communicator.
-        control: the Constant or the Function.
-        directions: (k, number of values of the control) changes of the control.
-        values: function that evaluates the values (n, ...) of this rank.
-        name: name of the values, for error messages.
-
-    Returns:
-        (k, n, ...) derivatives, or None.
+    The `directions` are (k, number of values of the control), the values of this rank (n, ...), and
+    the result (k, n, ...). Error messages call the values by the name.
 
     Raises:
         InputError: the values change, and the control is a Function.
     """
     given = values_of(control).copy()
     result: Array | None = None
-    own_size = float(reduce_array(comm, np.abs(given).max(initial=0.0), MPI.MAX))
-    for size in (own_size, *SIZES):
+    for size in (*largest_sizes(comm, given), *SIZES):
         ends = []
         for end in (DIFFERENCE * size, -DIFFERENCE * size):
             for direction in directions:
                 with replaced([control], [given + end * direction]):
                     ends.append(values())
         high, low = np.split(np.array(ends), 2)
-        sizes = [np.abs(values).max(initial=0.0) for values in (high - low, high, low)]
-        change, *largest = reduce_array(comm, sizes, MPI.MAX)
+        change, *largest = largest_sizes(comm, high - low, high, low)
         is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
         if change > 0.0 and (is_useful or result is None):
             result = np.asarray((high - low) / (2.0 * DIFFERENCE * size))
@@ -131,27 +120,20 @@ class NodalValues:
         self._compiled: dict[Expr, fem.Expression] = {}
 
     def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present values of a scalar (n,) at nodes of this rank. Collective.
+        """Return the present values (n,) of a scalar, see `values_at`. Collective."""
+        return self.values_at(field, nodes, name, 1)[:, 0]
 
-        The `nodes` (n,) are local numbers; error messages call the scalar by the `name`.
+    def values_at(
+        self, field: ScalarField | VectorField, nodes: LocalNumbers, name: str, components: int
+    ) -> Array:
+        """Return the present values (n, 1 or 3) of a scalar or vector at nodes. Collective.
 
-        Raises:
-            InputError: the scalar is on another mesh, or a function returns neither a number nor
-                one number for each point.
-        """
-        return self._values_at(field, nodes, name, 1)[:, 0]
-
-    def vectors_at(self, field: VectorField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present vectors (n, 3) at nodes of this rank. Collective.
+        Error messages call the field by its `name`.
 
         Raises:
-            InputError: the field is on another mesh, or a function returns neither a vector nor one
-                vector for each point.
+            InputError: the field is on another mesh, or a function returns neither one value nor
+                one value for each point.
         """
-        return self._values_at(field, nodes, name, 3)
-
-    def _values_at(self, field: Any, nodes: LocalNumbers, name: str, components: int) -> Array:
-        """Return the present values (n, components) of a scalar or vector field. Collective."""
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if isinstance(field, fem.Constant):
@@ -180,61 +162,36 @@ class NodalValues:
     ) -> Array | None:
         """Return the derivatives of a weighted sum of nodal values by a Function. Collective.
 
-        Args:
-            field: the scalar whose nodal values are differentiated.
-            control: the scalar Function that changes.
-            nodes: nodes of this rank at which the field is taken.
-            weights: (n,) weights of the values: derivatives of a goal, from an adjoint solution.
-            name: name of the field in error messages.
-
-        Returns:
-            the derivatives with respect to the Function's degrees of freedom on this rank, without
-            ghosts; None if the field does not depend on the Function.
+        The weights (n,) are derivatives of a goal, from an adjoint solution. The result has a value
+        for each degree of freedom that this rank owns; it is None if the field does not depend on
+        the Function.
 
         Raises:
             InputError: the control is a Function with components, or on another mesh; or a Python
                 function reads it.
         """
         space, dofmap = control.function_space, control.function_space.dofmap
-        slopes = self._slopes(field, control, ufl.TestFunction(space), nodes, name)
+        slopes = self.slopes(field, control, ufl.TestFunction(space), nodes, name)
         if slopes is None:
             return None
-        dofs, terms = dofmap.list[self._places(nodes)[0]], weights[:, None] * slopes
+        dofs, terms = dofmap.list[self._places[0, nodes]], weights[:, None] * slopes
         sums = summed_at_nodes(dofmap.index_map, dofs, terms[..., None])
         return sums[: dofmap.index_map.size_local, 0]
 
-    def pushed_forward(
-        self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
-    ) -> Array | None:
-        """Return the derivative (n,) of nodal values for a given change of a control. Collective.
-
-        The change of a Constant is given by values, that of a Function by a Function.
-
-        Returns:
-            the derivative; None if the field does not depend on the control.
-
-        Raises:
-            InputError: see `pulled_back`.
-        """
-        slopes = self._slopes(field, control, direction, nodes, name)
-        return None if slopes is None else slopes[:, 0]
-
-    def _slopes(
+    def slopes(
         self, field: ScalarField, control: Any, direction: Any, nodes: LocalNumbers, name: str
     ) -> Array | None:
         """Return derivatives (n, k) of a scalar along directions of a control. Collective.
 
-        A test function stands for k directions: the basis functions of the node's cell. The result
-        is None if the scalar does not depend on the control.
-
-        Raises:
-            InputError: see `pulled_back`.
+        The direction of a Constant is given by values, that of a Function by a Function, or by a
+        test function, which stands for k directions: the basis functions of the node's cell. The
+        result is None if the scalar does not depend on the control.
         """
         is_constant = isinstance(control, fem.Constant)
         if isinstance(field, fem.Expression):
             field = field.ufl_expression
         if callable(field) and not isinstance(field, Expr):
-            comm, values = self._V.mesh.comm, partial(self._values_at, field, nodes, name, 1)
+            comm, values = self._V.mesh.comm, partial(self.values_at, field, nodes, name, 1)
             along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
             rates = central_differences(comm, control, along[None], values, name)
             return None if rates is None else rates[0]
@@ -256,12 +213,7 @@ class NodalValues:
     def _of_function(
         self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
     ) -> Array:
-        """Return the values (components, n) of a function at the nodes. Not collective.
-
-        Raises:
-            InputError: the function returns neither one value nor one value for each node, or
-                values that are not real numbers.
-        """
+        """Return the values (components, n) of a function at the nodes. Not collective."""
         n = len(nodes)
         if n == 0:
             return np.zeros((components, 0))
@@ -280,11 +232,7 @@ class NodalValues:
         return values
 
     def _check_mesh(self, expression: Expr, name: str) -> None:
-        """Check that a Function or an expression is on the mesh of the space. Not collective.
-
-        Raises:
-            InputError: the expression is on another mesh.
-        """
+        """Check that a Function or an expression is on the mesh of the space. Not collective."""
         if any(domain != self._V.mesh.ufl_domain() for domain in extract_domains(expression)):
             kind = "a Function" if isinstance(expression, Coefficient) else "an expression"
             raise InputError(
@@ -305,17 +253,12 @@ class NodalValues:
             self._compiled[expression] = fem.Expression(
                 unity * expression, interpolation_points(self._V.element)
             )
-        cells, points = self._places(nodes)
+        cells, points = self._places[:, nodes]
         sampled = self._compiled[expression].eval(self._V.mesh, cells)
         count = self._V.dofmap.list.shape[1]
         at_points = sampled.reshape(len(cells), count, prod(sampled.shape[1:]) // count)
         values: Array = at_points[np.arange(len(cells)), points]
         return values
-
-    def _places(self, nodes: LocalNumbers) -> tuple[LocalNumbers, LocalNumbers]:
-        """Return for each node (n,) the first cell that has it, and its place in this cell."""
-        cells, points = np.divmod(self._first_seen[nodes], self._V.dofmap.list.shape[1])
-        return cells, points
 
     @cached_property
     def _points(self) -> Array:
@@ -324,9 +267,9 @@ class NodalValues:
         return points
 
     @cached_property
-    def _first_seen(self) -> LocalNumbers:
-        """The first position of each node in the cells' list of nodes."""
+    def _places(self) -> LocalNumbers:
+        """For each node the first cell that has it, and its place in this cell, (2, nodes)."""
         cells = self._V.dofmap.list
-        result = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
-        result[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
-        return result
+        first_seen = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
+        first_seen[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]
+        return np.array(np.divmod(first_seen, cells.shape[1]))

@@ -19,7 +19,7 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
 from dolfinx_tresca._base.bodies import label_bodies, labels_of
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes
 from dolfinx_tresca._base.petsc import (
     PetscOwner,
     dense_matrix,
@@ -97,9 +97,6 @@ def _solve(matrix: csr_array, right: Array) -> Array:
 
     On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
     take a third of the memory.
-
-    Raises:
-        StiffnessError: the factorisation failed.
     """
     A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
     factors = PETSc.PC().create(MPI.COMM_SELF)
@@ -129,10 +126,7 @@ def _forces_on_bodies(
 ) -> tuple[Indices, Indices, csr_array]:
     """Return the rows of B, split into the rows of the matrices B_b of all bodies. Collective.
 
-    Args:
-        jump: B.
-        label: the body of each node of this rank.
-        bodies: number of bodies.
+    The `label` is the body of each node of this rank.
 
     Returns:
         the local number (m,) of the multiplier of each row of this rank; the body (m,) on which the
@@ -170,12 +164,8 @@ def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None
     The columns of P are the basis displacements of the level (`MOST_UNKNOWNS`): they move bodies as
     a whole. The caller owns the result. Collective.
 
-    Args:
-        pc: a preconditioner, whose multigrid levels are searched.
-
-    Returns:
-        the interpolations whose product is P, the finest first, and the factors; None if the
-        preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
+    The result has the interpolations whose product is P, the finest first. It is None if the
+    preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
     """
     interpolations: list[PETSc.Mat] = []
     while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
@@ -217,11 +207,7 @@ class NearField(PetscOwner):
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
-        """Find the nodes near the contact, and factor K there and on the coarse level. Collective.
-
-        Raises:
-            StiffnessError: the factorisation failed.
-        """
+        """Find nodes near the contact, and factor K there and on the coarse level. Collective."""
         self._jump, K = jump, solver.matrix
         self.comm = jump.comm
         layers = LAYERS if solver.exact else LAYERS_BEFORE_COARSE
@@ -311,8 +297,6 @@ class ContactCompliance(PetscOwner):
     Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
-        jump: B.
-        solver: solver for K.
         springs: the springs that are in the solver's K, but not in the system's K; None if no body
             floats or is held softly.
         exact: whether products are exact to rounding (a direct solver for K).
@@ -323,11 +307,6 @@ class ContactCompliance(PetscOwner):
         self, jump: JumpOperator, solver: StiffnessSolver, springs: FixingSprings | None
     ) -> None:
         """Compute the data that every solve needs. Collective.
-
-        Args:
-            jump: B.
-            solver: solver for the system's K plus the springs.
-            springs: springs that fix floating and softly held bodies; None if there are none.
 
         Raises:
             StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
@@ -373,10 +352,8 @@ class ContactCompliance(PetscOwner):
         Each column counts as a product. Blocks of columns are solved together, which with a direct
         solver costs far less than single products.
 
-        Args:
-            place: (size,) column in which each multiplier is 1.
-            count: number of columns.
-            B: the matrix of jumps in A = B K^-1 B', or a matrix that replaces it.
+        The `place` (size,) is the column in which each multiplier is 1. B may be another matrix
+        than that of the jumps in A = B K^-1 B'.
         """
         prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
         for start in range(0, count, BLOCK):
@@ -439,16 +416,11 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def floating(self) -> FloatingBodies | None:
-        """The floating and softly held bodies; None if there are none. Collective.
-
-        Raises:
-            StiffnessError: a solve failed.
-        """
+        """The floating and softly held bodies; None if there are none. Collective."""
         if self.springs is None:
             return None
         U, stiffness = self.springs.response(self.jump.system.K, self.solver)
-        jumps = product(self.jump.matrix, U)
-        return FloatingBodies(self.springs.modes, U, stiffness, jumps, self.jump.row_nodes)
+        return FloatingBodies(self.springs.modes, U, stiffness, product(self.jump.matrix, U))
 
     @cached_property
     def certificate(self) -> EnergyBound:
@@ -476,6 +448,5 @@ class ContactCompliance(PetscOwner):
         """Size of the pressures [stress] that the rounding of coordinates causes. Collective."""
         jump = self.jump
         stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
-        largest = [stress.max(initial=0.0), np.abs(jump.system.V.mesh.geometry.x).max(initial=0.0)]
-        stiffness, extent = reduce_array(jump.comm, largest, MPI.MAX)
-        return float(ROUNDING * extent * stiffness)
+        stiffness, extent = largest_sizes(jump.comm, stress, jump.system.V.mesh.geometry.x)
+        return ROUNDING * extent * stiffness

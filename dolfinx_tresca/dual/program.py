@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
@@ -61,9 +61,6 @@ class DualProgram:
     with an iterative one, only as accurate as requested.
 
     Attributes:
-        compliance: A, and all data that depend on K only.
-        jump: B.
-        reductions: sums over all ranks, and values on which all ranks agree.
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
             at which the slip of this solve is zero; less the jumps of the frames of bodies that
             have turned.
@@ -73,7 +70,6 @@ class DualProgram:
         equilibrium: equilibrium of tools, floating and softly held bodies; None if there are none.
         constraints: linear equations of the multipliers: this equilibrium.
         of_tools: positions of the motions of tools among the multipliers of the constraints.
-        history: slip and dissipation of the accepted load steps.
         is_load_step: whether this is a load step of a process: a step was accepted before.
     """
 
@@ -93,13 +89,6 @@ class DualProgram:
         An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
         residuals and the reported q depend on this b, while gradients do not.
 
-        Args:
-            compliance: A for the present K.
-            guess: displacements of earlier solves.
-            slip_bounds: slip bounds at the nodes of each pair.
-            history: slip of the accepted load steps; None if there is none.
-            tools: obstacles and bolts with given forces; None if there are none.
-
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
             MechanismError: contact cannot hold a floating body or a tool.
@@ -113,14 +102,14 @@ class DualProgram:
         self.is_load_step = self.history.begun
         self.admissible = jump.bounded(slip_bounds)
         self.equilibrium: Equilibrium | None = None
-        self.constraints = EqualityConstraints.none(jump.row_nodes, jump.reductions)
+        self.constraints = EqualityConstraints.none(len(jump.gap), jump.reductions)
         self.of_tools = slice(0)
         bodies, load = compliance.floating, self._load.array
         if tools is not None:
             if bodies is None:
                 modes = RigidBodyModes.none(jump.system.V, tools.bodies)
                 U, stiffness, jumps = (csr_array((n, 0)) for n in (len(load), 0, len(jump.gap)))
-                bodies = FloatingBodies(modes, U, stiffness, jumps, jump.row_nodes)
+                bodies = FloatingBodies(modes, U, stiffness, jumps)
             self.of_tools = slice(len(bodies.modes), None)
             bodies = bodies.with_tools(tools)
         if bodies is not None:
@@ -161,13 +150,9 @@ class DualProgram:
         self.b_error = max(self.b_error, self._solver.error(self._load, self._u))
 
     def _check_units(self) -> None:
-        """Check that squares of lengths and forces neither overflow nor underflow. Collective.
-
-        Raises:
-            InputError: the squares would overflow or underflow.
-        """
+        """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
         force = self._load.norm(PETSc.NormType.INFINITY)
-        largest = float(reduce_array(self.jump.comm, np.abs(self.b).max(initial=0.0), MPI.MAX))
+        (largest,) = largest_sizes(self.jump.comm, self.b)
         least = 1.0 / LARGEST_SIZE
         for name, size in (("load", force), ("displacement it causes", largest)):
             if size > LARGEST_SIZE or (largest < least and 0.0 < size < least):
@@ -185,10 +170,7 @@ class DualProgram:
         rounding of r: products are differences of gradients, and if steps are small compared with
         the gaps, these differences may be pure rounding.
 
-        Args:
-            x: (size,) multipliers.
-            accuracy: requested error of the displacement in the energy norm; the returned error is
-                larger if the solver does not reach it.
+        The returned error exceeds `accuracy` if the solver does not reach it.
         """
         if self._solver.exact:
             presses = float(self.inner(x, x)) > 0.0
@@ -326,8 +308,7 @@ class DualProgram:
 
         The minimisers are the projection of `decoupled_minimiser` onto Lambda.
 
-        Returns:
-            the change and the largest traction [stress].
+        The result is the change and the largest traction [stress].
         """
         change = x - self.bounds(x, r).project(self.decoupled_minimiser(x, r))
         sizes = [self._largest_stress(multipliers) for multipliers in (change, x)]
@@ -347,9 +328,8 @@ class DualProgram:
 
         Before the call, u is K^-1 (f - B'x).
 
-        Returns:
-            the gradient including the term -G c of the constraints, and the energy norm of the
-            rigid displacements that are still missing for equilibrium.
+        The result is the gradient including the term -G c of the constraints, and the energy norm
+        of the rigid displacements that are still missing for equilibrium.
         """
         r = self.gradient_of(u)
         if self.equilibrium is None:
@@ -420,9 +400,6 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
 
     Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
-
-    Returns:
-        numbers of normal rows between pressed and open, and of discs between stick and slip.
     """
     lam, scale = dual.bounds(x, r), dual.jump.stress_scale
     change, traction = dual.local_change(x, r)
@@ -437,11 +414,8 @@ def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: f
 
     The result is an array (n_discs,), False for discs without friction.
 
-    Args:
-        lam: Lambda, whose radii are the slip bounds.
-        target: (size,) minimisers of the nodes, see `DualProgram.decoupled_minimiser`.
-        stress_scale: (size,) factors from multipliers to stresses.
-        error: error of a traction [stress].
+    The radii of Lambda are the slip bounds, the target is the `decoupled_minimiser`, and the error
+    is that of a traction [stress].
     """
     scale = np.ones(len(lam.radius))
     scale[lam.node] = stress_scale[lam.tangential]

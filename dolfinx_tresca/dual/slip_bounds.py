@@ -92,11 +92,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -
 
 
 def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Array:
-    """Return the axes (n, 2, 3) of the ellipse of each node; zero for circles. Collective.
-
-    Raises:
-        InputError: a direction is not finite, is zero, or is normal to the surface.
-    """
+    """Return the axes (n, 2, 3) of the ellipse of each node; zero for circles. Collective."""
     axis = direction - dots(direction, pair.normals)[:, None] * pair.normals
     length, whole = np.linalg.norm(axis, axis=1), np.linalg.norm(direction, axis=1)
     has_tangents = np.zeros(len(length), dtype=np.bool_)
@@ -129,9 +125,8 @@ def _vector_text(vector: Array) -> str:
 def _semi_diameters(direction: Array, shape: Array) -> Array:
     """Return the semi-diameters 1 / |(d_1 / b_1, d_2 / b_2)| (n,) of ellipses in directions d.
 
-    Args:
-        direction: (n, 2) components d of unit vectors along the axes of the ellipses.
-        shape: (n, 2) semi-axes b, relative to the longer semi-axis.
+    The d (n, 2) are components of unit vectors along the axes; the shape (n, 2) has the semi-axes
+    b, relative to the longer one.
     """
     nonzero = np.abs(direction) > ROUNDING
     scaled = np.zeros_like(shape)
@@ -154,10 +149,7 @@ def friction_discs(node: Indices, semi_axes: Array, count: int) -> tuple[Array, 
     sqrt(b_1 b_2). If one semi-axis is zero, the disc of the node is an interval, from minus to plus
     the other semi-axis. Not collective.
 
-    Args:
-        node: (n_tangential,) the node of each tangential row.
-        semi_axes: (n_tangential,) `PairOperators.semi_axes`.
-        count: number of nodes n.
+    Each tangential row has its node in `node`, one of `count` nodes, and `PairOperators.semi_axes`.
 
     Returns:
         the stretch (n_tangential,), the ratio of traction to unknown [1]; the radius (n,) of the
@@ -199,11 +191,7 @@ def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]
 
 
 class SlipBounds:
-    """Evaluates slip bounds at nodes of a vector space.
-
-    Attributes:
-        values: object that evaluates any field of the user at nodes of the space.
-    """
+    """Evaluates slip bounds at nodes of a vector space."""
 
     def __init__(self, V: Any) -> None:
         """Keep the space of the displacements."""
@@ -236,7 +224,7 @@ class SlipBounds:
                     "two slip bounds and their direction are for surfaces in 3D: in 2D the "
                     "surfaces slide along one direction only, so give one bound."
                 )
-            self.values.vectors_at(friction.terms.direction, nodes, DIRECTION)
+            self.values.values_at(friction.terms.direction, nodes, DIRECTION, 3)
 
     def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
@@ -264,7 +252,7 @@ class SlipBounds:
                 shape = self._shape(values, TERMS[name])
         direction = None
         if terms.direction is not None:
-            direction = self.values.vectors_at(terms.direction, nodes, DIRECTION)
+            direction = self.values.values_at(terms.direction, nodes, DIRECTION, 3)
         return NodalBounds(**bounds, shape=shape, direction=direction, curve=terms.curve)
 
     def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:
@@ -290,11 +278,7 @@ class SlipBounds:
                 )
 
     def _shape(self, semi_axes: Array, name: str) -> Array:
-        """Return semi-axes (n, 2), divided by the longer semi-axis of each node. Collective.
-
-        Raises:
-            InputError: only one of the two semi-axes of a node is infinite.
-        """
+        """Return semi-axes (n, 2), divided by the longer semi-axis of each node. Collective."""
         infinite = np.isinf(semi_axes)
         with errors_on_all_ranks(self._comm):
             if (infinite[:, 0] != infinite[:, 1]).any():
@@ -309,12 +293,7 @@ class SlipBounds:
         return shape
 
     def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
-        """Return values at nodes of this rank; negative rounding errors become zero. Collective.
-
-        Raises:
-            InputError: a value is negative by more than rounding, or a coefficient of friction is
-                infinite.
-        """
+        """Return values at nodes of this rank; negative rounding errors become zero. Collective."""
         values = self.values.scalars_at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)

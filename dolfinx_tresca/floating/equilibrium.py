@@ -81,7 +81,6 @@ class Tools:
 
     Attributes:
         motions: the motions; those of a tool follow one another.
-        bodies: the bodies of the mesh.
         jumps: (size, k) G, sparse.
     """
 
@@ -121,9 +120,7 @@ class Tools:
     def places(self, c: Array, before: Array) -> Array:
         """Return the motions (pairs, 3, 4) of the tools of all pairs, as `RigidMotion.matrix`.
 
-        Args:
-            c: (k,) the motions of a solve.
-            before: (pairs, 3, 4) motions at the start of the solve.
+        The motions c (k,) of a solve follow those `before`, (pairs, 3, 4).
         """
         result, moved = before.copy(), np.zeros((len(before), 6))
         for motion, amount in zip(self.motions, c, strict=True):
@@ -149,8 +146,6 @@ class Equilibrium:
     loads.
 
     Attributes:
-        constraints: the equations of equilibrium G'lambda + S c = e.
-        bodies: the bodies, with the displacements that the modes U are multiples of.
         factors: (k,) the factors of these multiples, such that a column of G has length 1, or a
             smaller length if S resists its mode more than contact does.
     """
@@ -162,23 +157,14 @@ class Equilibrium:
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U c to u. Collective.
 
-        Args:
-            x: (size,) multipliers.
-            u: the vector K_p^-1 (f - B'x), to which U c is added.
-            c: (k,) multipliers of the constraints.
-
-        Returns:
-            the energy norm of the rigid displacements that are then still missing for equilibrium.
+        Before the call, u is K_p^-1 (f - B'x). The result is the energy norm of the rigid
+        displacements that are then still missing for equilibrium.
         """
         u.array += self.bodies.displacements @ (self.factors * c)
         return self.constraints.violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return the resultants U'f (k,), and the largest size of their terms. Collective.
-
-        Args:
-            f: forces on all unknowns.
-        """
+        """Return the resultants U'f (k,), and the largest size of their terms. Collective."""
         result, sizes = (self.factors * values for values in self.bodies.resultants(f.array))
         return result, float(sizes.max(initial=0.0))
 
@@ -201,20 +187,16 @@ class FloatingBodies:
     motions of tools follow the modes of bodies, with U = 0.
 
     Attributes:
-        modes: the rigid body modes R.
         displacements: U (owned degrees of freedom, k), sparse, which forces of the springs that fix
             the bodies alone cause.
         stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse.
-        row_nodes: (size,) the node of each multiplier.
-        tools: the tools; None if there are none.
     """
 
     modes: RigidBodyModes
     displacements: csr_array
     stiffness: csr_array
     jumps: csr_array
-    row_nodes: Indices
     tools: Tools | None = None
 
     def with_tools(self, tools: Tools) -> FloatingBodies:
@@ -288,7 +270,6 @@ class FloatingBodies:
             values=factors * resultants,
             sizes=_largest_of_group(own_sizes, coupled[bodies]),
             reductions=reductions,
-            nodes=self.row_nodes,
         )
         return Equilibrium(self._balanced(constraints, factors, feasible_set), self, factors)
 
@@ -305,14 +286,8 @@ class FloatingBodies:
     ) -> None:
         """Check that contact resists all motions that K does not resist at all. Collective.
 
-        Args:
-            gram: (k, k) inner products of the jumps that contact resists.
-            length: (k,) lengths of these jumps, zero if they are small for their body.
-            largest: (k,) the largest length of the jumps of each mode's body.
-            reductions: object that computes sums over the ranks.
-
-        Raises:
-            MechanismError: contact does not resist a motion.
+        The `gram` (k, k) has the inner products of the jumps that contact resists; their lengths
+        (k,) are zero if they are small compared with the largest length of the mode's body.
         """
         floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
         sizes = np.where(length > 0.0, length, largest)[floats]
@@ -338,9 +313,6 @@ class FloatingBodies:
         """Return the equations, without the rounding of loads that contact cannot balance.
 
         Collective.
-
-        Raises:
-            MechanismError: no contact forces balance the loads.
         """
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if balanced.satisfied:
@@ -366,9 +338,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     together. The limit for joint motions of n bodies is smaller, since the resistance falls with n:
     the least eigenvalue of a stack of n bodies is about 1 / n^4.
 
-    Args:
-        gram: (m, m) products of the modes' jumps, sparse, 1 on the diagonal.
-        body: (m,) the body of each mode.
+    The `gram` (m, m) has the products of the modes' jumps, with 1 on the diagonal.
 
     Returns:
         the components (m, number) of the motions in the modes, empty if there is no such motion;

@@ -30,8 +30,6 @@ class RigidBodyModes:
     """Rigid body modes R, orthonormal in the degrees of freedom, that K hardly resists.
 
     Attributes:
-        comm: communicator of the mesh.
-        bodies: the bodies of the mesh.
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
         stiffness: (k,) approximate stiffness against deformation of the body that the mode moves,
             for a displacement vector of length 1.
@@ -81,8 +79,7 @@ class RigidBodyModes:
         The body is the first of those that move most. Bodies count as moving if they move by more
         than `NAMED_PART` of the largest motion.
 
-        Args:
-            components: (k,) or (k, columns) components of one or of several motions.
+        The components are (k,), or (k, columns) for several motions.
         """
         moved = self.mode_components @ components.reshape(len(self), -1)
         moved = moved.reshape(self.bodies.number, -1, moved.shape[1])
@@ -108,9 +105,7 @@ SOFT_STIFFNESS = 0.03
 def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     """Find rigid motions of bodies that supports and K resist little or not at all. Collective.
 
-    Args:
-        system: a `LinearSystem` with K assembled.
-        bodies: the bodies of its mesh.
+    K of the `LinearSystem` must be assembled.
 
     Raises:
         StiffnessError: K has zeros or negative numbers on the diagonal, or a negative stiffness
@@ -152,14 +147,7 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
 def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> Array:
     """Return the largest diagonal entry of K on each body, 1 if all are prescribed. Collective.
 
-    Args:
-        diagonal: (nodes, dim) the diagonal of K at this rank's nodes.
-        free: (nodes * dim,) whether each degree of freedom is not prescribed.
-        bodies: the bodies.
-        comm: the communicator.
-
-    Raises:
-        StiffnessError: entries are zero or negative.
+    The diagonal is (nodes, dim), and `free` (nodes * dim,) excludes what is prescribed.
     """
     node, component = np.nonzero(free.reshape(diagonal.shape))
     entries, label = diagonal[node, component], bodies.label[node]
@@ -183,10 +171,8 @@ def _stationary(
 ) -> tuple[Indices, Array, csr_array]:
     """Return the rigid motions of each body against which the stiffness of K is stationary.
 
-    Args:
-        gram: (m, m) inner products of the rigid body modes on free degrees of freedom.
-        energy: (m, m) products R'K R with the modes R.
-        number: number of bodies, whose modes follow one another.
+    The matrix `gram` (m, m) has the inner products of the rigid body modes R on free degrees of
+    freedom, `energy` is R'K R, and the modes of the bodies follow one another.
 
     Returns:
         the body (k,) of each motion, ascending; the stiffness (k,) against it; and the components
@@ -220,9 +206,6 @@ class FixingSprings:
     force. On softly held bodies, which soft springs of the scene hold, the displacements of the
     `response` cancel the effect of the fixing springs. (The nodes on which springs act correspond
     to the fixing nodes of Brzobohaty et al. 2011.)
-
-    Attributes:
-        modes: the rigid body modes R that the springs resist.
     """
 
     modes: RigidBodyModes
@@ -270,15 +253,10 @@ class FixingSprings:
         In a system with the matrix K_p, forces Z Z'R of the fixing springs alone cause
         U = K_p^-1 Z Z'R. U equals R for modes that K does not resist.
 
-        Args:
-            K: K without these springs.
-            solver: solver for `added_to(K)`.
+        The solver is that for `added_to(K)`.
 
         Returns:
             U (owned degrees of freedom, k), and the stiffness (k, k) of K against U; both sparse.
-
-        Raises:
-            StiffnessError: a solve failed.
         """
         modes, k = self.modes, len(self.modes)
         if modes.floats.all():
@@ -313,10 +291,8 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
     Not collective.
 
-    Args:
-        modes: rigid body modes that K resists little or not at all.
-        system: the `LinearSystem`. In a mixed space softly held bodies get no springs, since the
-            factorisation of K does not need positive pivots there.
+    In a mixed space softly held bodies get no springs, since the factorisation of K does not need
+    positive pivots there.
 
     Raises:
         InputError: the space is mixed and a body floats.

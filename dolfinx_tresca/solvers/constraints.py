@@ -15,7 +15,7 @@ from scipy.sparse import block_diag, csc_array, csr_array, diags_array, eye_arra
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, ROUNDING, Array, Indices
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, ROUNDING, Array
 from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 
@@ -69,8 +69,6 @@ class EqualityConstraints:
         values: (k,) e.
         sizes: (k,) sums of the absolute values of the terms of e, from which rounding errors are
             estimated.
-        reductions: sums over the ranks.
-        nodes: (size,) the node of each multiplier.
     """
 
     columns: csr_array
@@ -78,13 +76,12 @@ class EqualityConstraints:
     values: Array
     sizes: Array
     reductions: Reductions
-    nodes: Indices
 
     @classmethod
-    def none(cls, nodes: Indices, reductions: Reductions) -> EqualityConstraints:
-        """Return an empty set of equations for multipliers of the nodes (size,)."""
-        G, none = csr_array((len(nodes), 0)), np.empty(0)
-        return cls(G, csr_array((0, 0)), none, none, reductions, nodes)
+    def none(cls, size: int, reductions: Reductions) -> EqualityConstraints:
+        """Return an empty set of equations."""
+        none = np.empty(0)
+        return cls(csr_array((size, 0)), csr_array((0, 0)), none, none, reductions)
 
     def __len__(self) -> int:
         return len(self.values)
@@ -293,9 +290,6 @@ def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
     Rows that nonzero entries connect, directly or through other rows, are treated as one dense
     block: the cost grows with the sum of the cubes of the blocks' sizes. Eigenpair number j belongs
     to the block of row j; the eigenvalues of a block ascend.
-
-    Args:
-        matrix: (k, k) symmetric, k > 0.
     """
     label = connected_components(matrix, directed=False)[1]
     order = np.argsort(label, kind="stable")

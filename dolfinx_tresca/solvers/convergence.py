@@ -30,11 +30,9 @@ class NaturalResidual:
     load is removed: the residual at zero is zero.
 
     Attributes:
-        rho: step length.
         scale: the divisor of relative residuals, see above.
         zero_is_solution: whether the residual at lambda = 0 is rounding.
         rounding: largest residual that counts as rounding.
-        zero: lambda = 0.
     """
 
     def __init__(self, problem: DualProblem, rho: float, error: float = 0.0) -> None:
@@ -74,8 +72,6 @@ class NaturalResidual:
 
         It is if the projection of zero moves once each gradient is lowered by its largest error: a
         pressure could begin. `rho` is about 1 / sigma_max of A. Collective.
-
-        The error is that of the gradient at zero.
         """
         # |e| is at most sqrt(sigma_max) times the norm sqrt(e'A^-1 e)
         largest, zero = error / float(np.sqrt(self.rho)), self.zero
@@ -164,7 +160,6 @@ class History:
     energy error may be large although the residual is small.
 
     Attributes:
-        residual: natural residual and its scale.
         accuracy: relative error in the energy norm that is requested at present; inf if it is not
             yet known.
         residuals: relative natural residual of each iterate.
@@ -214,10 +209,8 @@ class History:
     def is_idle(self, number: int, progress: float, since: int = 0) -> bool:
         """Return whether residuals have not decreased in the last iterations. Not collective.
 
-        Args:
-            number: number of iterations.
-            progress: ratio of two residuals that counts as a decrease.
-            since: number of the first iterate that counts.
+        The last iterations, `number` of them, count as idle if their least residual exceeds
+        `progress` times the least one before them; iterates before number `since` do not count.
         """
         residuals = self.residuals[since:]
         return len(residuals) > number and (
@@ -270,8 +263,6 @@ class History:
         A criterion is computed only if the caller asks for it, after the earlier criteria are met.
         If the residual is rounding, there is no criterion with the default accuracy, or if zero is
         the solution.
-
-        The natural residual is not divided by its scale.
         """
         problem, x, r = self._problem, point.x, point.r
         is_asked = self._options.rtol is not None or not self._mesh_decides

@@ -115,6 +115,10 @@ class FeasibleSet:
         result[self.normal_of[has]] = values[has]
         return result
 
+    def of_normals(self, v: Array) -> Array:
+        """Return the entries (n_discs,) of v (size,) in the discs' normal rows; 0 without one."""
+        return np.append(v, 0.0)[self.normal_of]
+
     def at_tangents(self, values: Array) -> Array:
         """Return values (n_discs,) in the tangential rows (size,) of the discs, zero elsewhere."""
         result = np.zeros(self.size)
@@ -122,12 +126,7 @@ class FeasibleSet:
         return result
 
     def dilation(self, x: Array, r: Array) -> Array:
-        """Return slope times slip in the normal rows (size,), with the slopes dg/dp of the bounds.
-
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x; its tangential part is minus the slip.
-        """
+        """Return the slope dg/dp times the slip in the normal rows (size,)."""
         return self.at_normals(self.slopes(x)[0] * self.norms(r))
 
     def sums(self, v: Array) -> Array:
@@ -167,9 +166,8 @@ class FeasibleSet:
     def nodal_matrix(self, diagonal: Array, *terms: tuple[Array, Array]) -> csr_array:
         """Return a sparse matrix (size, size) that couples only multipliers of the same node.
 
-        Args:
-            diagonal: (size,) first term of the diagonal.
-            terms: vectors a and b (size,), of which a_i b_j is added to the entry (i, j).
+        The diagonal (size,) is the first term. For each pair of vectors a and b (size,) in `terms`,
+        a_i b_j is added to the entry (i, j).
         """
         pattern = self._pattern
         columns, rows = pattern.indices, np.repeat(np.arange(self.size), np.diff(pattern.indptr))
@@ -247,11 +245,7 @@ def pressed_values(
 ) -> Array:
     """Return F (n,) at nodes under pressure and 0 at open nodes, where F may be infinite.
 
-    Args:
-        curve: the coefficient of friction.
-        pressure: (n,) pressures [stress].
-        slip: (n,) slips [length].
-        points: positions of the nodes, on which F does not depend.
+    The `points`, on which F does not depend, may be given as to any function of positions.
     """
     with np.errstate(all="ignore"):
         return np.where(pressure > 0.0, curve.values(pressure, slip), 0.0)
@@ -278,15 +272,11 @@ class NodalCurves:
 
         Values that are negative or not finite become zero: iterates may have pressures and slips
         far from those of the solution. The values at the solution are checked afterwards.
-
-        Args:
-            constant: (n_discs,) coefficients of discs without a curve.
-            pressure: (n_discs,) normal multiplier.
-            slip: (n_discs,) norm of the tangential gradient.
         """
         result = constant.copy()
         for discs, curve, p, v in self.arguments(pressure, slip):
-            result[discs] = np.maximum(_finite(curve.values(p, v)), 0.0)
+            values = np.nan_to_num(curve.values(p, v), posinf=0.0)
+            result[discs] = np.maximum(values, 0.0)
         return result
 
     @np.errstate(all="ignore")
@@ -294,7 +284,7 @@ class NodalCurves:
         """Return dF/dp and dF/dv (2, n_discs), zero for discs without a curve."""
         result = np.zeros((2, len(self.root)))
         for discs, curve, p, v in self.arguments(pressure, slip):
-            result[:, discs] = _finite(np.array(curve.slopes(p, v)))
+            result[:, discs] = np.nan_to_num(curve.slopes(p, v), posinf=0.0, neginf=0.0)
         return result / self.root
 
     def arguments(
@@ -304,11 +294,6 @@ class NodalCurves:
         p: Array = np.maximum(pressure, 0.0) / self.root
         v: Array = np.divide(slip, self.root)
         return [(discs, curve, p[discs], v[discs]) for discs, curve in self.of_discs]
-
-
-def _finite(values: Array) -> Array:
-    """Return values, with zeros in place of those that are not finite."""
-    return np.where(np.isfinite(values), values, 0.0)
 
 
 @dataclass(frozen=True)
@@ -327,7 +312,7 @@ class FrictionCones(FeasibleSet):
         radius: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
-        curves: coefficients that depend on pressure and slip; None: there are none.
+        curves: coefficients that depend on pressure and slip, for some discs or none.
         slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; 0.0 for
             all discs.
     """
@@ -336,7 +321,7 @@ class FrictionCones(FeasibleSet):
 
     coefficient: Array
     limit: Array
-    curves: NodalCurves | None = None
+    curves: NodalCurves = NodalCurves((), np.ones(1))
     slip: Array | float = 0.0
 
     @property
@@ -348,18 +333,14 @@ class FrictionCones(FeasibleSet):
     def at_point(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        Args:
-            x: (size,) multipliers.
-            r: (size,) gradient at x, with the terms of the equality constraints; its tangential
-                part is minus the slip.
-            target: (size,) end of a gradient step from x. A node that friction at rest would hold
-                there counts as sticking, with the slip zero, unless friction decreases at the
-                present slip. Bodies are at rest before they slide: for a coefficient that falls
-                steeply, Newton's method would else find the solution in which they slide.
+        A node that friction at rest would hold at `target` (size,), the end of a gradient step from
+        x, counts as sticking, with the slip zero, unless friction decreases at the present slip.
+        Bodies are at rest before they slide: for a coefficient that falls steeply, Newton's method
+        would else find the solution in which they slide.
         """
-        if self.curves is None:
+        if not self.curves.of_discs:
             return self
-        pressure, slip = self._pressures(x), self.norms(r)
+        pressure, slip = self.of_normals(x), self.norms(r)
         if target is not None:
             at_rest = dataclasses.replace(self, slip=0.0).section(x).radius
             weakens = dataclasses.replace(self, slip=slip).slopes(x)[1] < 0.0
@@ -369,7 +350,7 @@ class FrictionCones(FeasibleSet):
 
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds at the pressures of x (size,)."""
-        pressure = self._pressures(x)
+        pressure = self.of_normals(x)
         radius = self._bound(pressure, self._coefficients(pressure))
         rows = self.size, self.normal, self.tangential, self.node
         return FeasibleSet(*rows, radius, self.normal_of)
@@ -407,46 +388,28 @@ class FrictionCones(FeasibleSet):
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
         """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g.
 
-        Args:
-            x: (size,) multipliers.
-            where: (n_discs,) discs whose slopes are wanted. Other slopes are zero, and so are those
-                where F p exceeds its limit.
+        Slopes are zero outside of the mask `where` (n_discs,), and where F p exceeds its limit.
         """
-        pressure = self._pressures(x)
+        pressure = self.of_normals(x)
         coefficient = self._coefficients(pressure)
         grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         result = np.array([coefficient, np.zeros_like(coefficient)])
-        if self.curves is not None:
-            result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
+        result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
         return np.where(grows, result, 0.0)
 
     def exceed_limit(self, x: Array) -> Mask:
         """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
-        pressure = self._pressures(x)
+        pressure = self.of_normals(x)
         return np.asarray(self._coefficients(pressure) * pressure > self.limit)
 
     def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
         """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
-        if self.curves is None:
-            return []
-        arguments = self.curves.arguments(self._pressures(x), self.slip)
+        arguments = self.curves.arguments(self.of_normals(x), self.slip)
         return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
 
     def _coefficients(self, pressure: Array) -> Array:
         """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""
-        if self.curves is None:
-            return self.coefficient
         return self.curves.coefficients(self.coefficient, pressure, self.slip)
-
-    def _pressures(self, x: Array) -> Array:
-        """Return the normal multiplier on which each bound depends; 0 if there is none.
-
-        The result has the shape (n_discs,).
-        """
-        result = np.zeros(len(self.normal_of))
-        has = self.normal_of >= 0
-        result[has] = x[self.normal_of[has]]
-        return result
 
     def _bound(self, pressure: Array, coefficient: Array) -> Array:
         grown = coefficient * np.maximum(pressure, 0.0)
@@ -463,7 +426,7 @@ class FrictionCones(FeasibleSet):
             norms before the projection (n_discs,), 1 if that norm is zero; and the derivative
             (2, 2, n_discs) of pressure and radius with respect to their values before.
         """
-        given, nodes = np.array([self._pressures(y), self.norms(y)]), np.arange(len(self.radius))
+        given, nodes = np.array([self.of_normals(y), self.norms(y)]), np.arange(len(self.radius))
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)
         zero, unit = np.zeros(len(nodes)), np.ones(len(nodes))
         F = np.where(grows, self.coefficient, zero)

@@ -61,14 +61,6 @@ def solve(
     takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken. Two bricks
     take up to a quarter more products if the whole step is always taken.
 
-    Collective.
-
-    Args:
-        problem: A, b, cones and constraints; the products of this solve are added to its store.
-        start: (size,) first multipliers; projected onto the cones.
-        options: tolerances.
-        observe: function that is called with each iterate, the first one included.
-
     Raises:
         InputError: a method of the paper, which is for slip bounds that are given, was chosen for
             slip bounds that depend on the pressure.
@@ -92,14 +84,10 @@ class Iterate:
     product is then the difference of two gradients, and contains the errors of both.
 
     Attributes:
-        x: (size,) multipliers of the point.
-        c: (k,) multipliers of the constraints.
         r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
         learned: whether the last step has changed the model of A, or the accuracy of gradients.
-        store: known products with A, to which new products are added.
-        must_descend: whether q decreases in each step: for given slip bounds and held bodies.
     """
 
     x: Array
@@ -107,10 +95,9 @@ class Iterate:
     r: Array
     error: float
 
-    def __init__(self, problem: DualProblem, store: KnownProducts) -> None:
+    def __init__(self, problem: DualProblem) -> None:
         """Begin at zero, where no product is needed."""
-        self._problem, self.store, self.finest, self.learned = problem, store, 0.0, True
-        self.must_descend = problem.admissible.has_given_bounds and len(problem.constraints) == 0
+        self._problem, self.finest, self.learned = problem, 0.0, True
         self._is_exact = problem.compliance.exact
         # the requested error of a gradient is a part of the length of the last step; the solver
         # for K does not reach less than `_least`
@@ -122,6 +109,11 @@ class Iterate:
         b = self._problem.b
         self.x, self.c, self.r = np.zeros_like(b), np.zeros(len(self._problem.constraints)), -b
         self.error = self._problem.b_error
+
+    @property
+    def store(self) -> KnownProducts:
+        """The known products with A, to which new products are added. Collective."""
+        return self._problem.compliance.known_products()
 
     @property
     def point(self) -> Point:
@@ -170,12 +162,12 @@ class Iterate:
     def _part_to_take(self, direction: Array, product: Array) -> float:
         """Return the part of a step, at most 1, with the least q; 1 if q need not decrease.
 
-        The part is also 1 if the change of q is rounding, while that of the gradient is not.
-        Collective.
+        For given slip bounds and held bodies, q decreases in each step. The part is also 1 if the
+        change of q is rounding, while that of the gradient is not. Collective.
         """
-        if not self.must_descend:
-            return 1.0
         problem = self._problem
+        if not problem.admissible.has_given_bounds or len(problem.constraints) > 0:
+            return 1.0
         slope = float(problem.inner(direction, self.r))
         curvature = float(problem.inner(direction, product))
         rounding = PRODUCT_ROUNDING * norm(problem, self.x) * norm(problem, self.r)
@@ -229,13 +221,6 @@ class ModelNewton:
     """The state of one solve: a point with its gradient, and the history.
 
     Attributes:
-        problem: A, b, cones and constraints.
-        options: tolerances.
-        observe: function that is called with each iterate, the first one included.
-        store: known products with A.
-        residual: natural residual and its scale.
-        history: residuals and energies of the iterates, and the criterion of convergence.
-        iterate: the present point.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
         deficit: deficit of friction with which the iteration ends; None if friction is strong
             enough.
@@ -270,8 +255,7 @@ class ModelNewton:
 
         The first product is that of b with the near field, if there is one, and otherwise with A.
         """
-        self.store, b = self.problem.compliance.known_products(), self.problem.b
-        store = self.store
+        store, b = self.problem.compliance.known_products(), self.problem.b
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
             if store.largest_ritz_value == 0.0 and store.near is not None:
@@ -288,7 +272,7 @@ class ModelNewton:
         satisfy the law of friction as well.
         """
         problem, constraints = self.problem, self.problem.constraints
-        self.iterate = iterate = Iterate(problem, self.store)
+        self.iterate = iterate = Iterate(problem)
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
         if residual.zero_is_undecided(iterate.error):
             problem.refine_b()
@@ -333,7 +317,7 @@ class ModelNewton:
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
-        return self.options.step_factor / (self.store.largest_ritz_value or 1.0)
+        return self.options.step_factor / (self.iterate.store.largest_ritz_value or 1.0)
 
     def status(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.
@@ -358,7 +342,7 @@ class ModelNewton:
         misses = self.misses >= MISSES
         if (stalls or is_slow or misses) and self.complete_products():
             return None
-        if not stalls and not (misses and isinstance(self.store, WholeModel)):
+        if not stalls and not (misses and isinstance(self.iterate.store, WholeModel)):
             return None
         if self.problem.admissible.has_given_bounds:
             return ContactStatus.STAGNATED
@@ -372,10 +356,9 @@ class ModelNewton:
 
         Collective.
         """
-        compliance = self.problem.compliance
-        if not isinstance(self.store, ProductStore) or not compliance.complete_products():
+        is_known = isinstance(self.iterate.store, WholeModel)
+        if is_known or not self.problem.compliance.complete_products():
             return False
-        self.store = self.iterate.store = compliance.known_products()
         self.misses, self.completed_at = 0, len(self.history.residuals)
         self.iterate.learned = True
         return True
@@ -391,13 +374,8 @@ class ModelNewton:
 def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
     """Return the motion along which friction is too weak for the constraints. Collective.
 
-    Args:
-        problem: the dual problem, with friction cones and constraints.
-        point: multipliers whose pressures determine the slip bounds.
-
-    Returns:
-        the motion, with the work of the loads and of friction along it; None if some multipliers
-        with the slip bounds of the point satisfy the constraints.
+    The slip bounds are those of the point. The result is None if some multipliers with these bounds
+    satisfy the constraints.
     """
     constraints, section = problem.constraints, problem.bounds(point.x, point.r)
     if len(constraints) == 0:  # no body floats

@@ -19,15 +19,17 @@ Model: TypeAlias = BlockBFGSModel | WholeModel
 
 
 class Compliance(Protocol):
-    """The symmetric positive semidefinite matrix A, known by its products."""
+    """The symmetric positive semidefinite matrix A, known by its products.
+
+    Attributes:
+        exact: whether products are exact to rounding, for any requested accuracy.
+    """
+
+    exact: bool
 
     @property
     def products(self) -> int:
         """Number of products with A."""
-
-    @property
-    def exact(self) -> bool:
-        """Whether products are exact to rounding, for any requested accuracy."""
 
     def apply(self, x: Array) -> Array:
         """Return A x (size,). Collective."""
@@ -49,19 +51,22 @@ class DualProblem(InnerProduct, Protocol):
     of the constraints, and r (size,) is the gradient A x - b - G c at x; a `Point` has all three.
     The error e of a gradient is given in the norm sqrt(e'A^-1 e), which is the energy norm of the
     error of the displacement.
+
+    Attributes:
+        b: (size,) the linear term.
+        b_error: error of b, and of the gradient at zero multipliers.
+        is_load_step: whether the solution continues that of the last load step.
+        constraints: the equations that multipliers satisfy in addition to Lambda.
     """
+
+    b: Array
+    b_error: float
+    is_load_step: bool
+    constraints: EqualityConstraints
 
     @property
     def compliance(self) -> Compliance:
         """A."""
-
-    @property
-    def b(self) -> Array:
-        """The linear term (size,)."""
-
-    @property
-    def b_error(self) -> float:
-        """Error of b, and of the gradient at zero multipliers, in the norm that `gradient` uses."""
 
     @property
     def b_terms(self) -> Array:
@@ -81,38 +86,21 @@ class DualProblem(InnerProduct, Protocol):
     def bounds(self, x: Array, r: Array) -> FeasibleSet:
         """Return Lambda with the slip bounds at the pressures and slips of a point."""
 
-    @property
-    def is_load_step(self) -> bool:
-        """Whether this is a load step, whose solution continues the solution of the last step."""
-
-    @property
-    def constraints(self) -> EqualityConstraints:
-        """The equations that multipliers satisfy in addition to Lambda; there may be none."""
-
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
-        Args:
-            x: (size,) multipliers.
-            accuracy: requested error e of r, in the norm |e| = sqrt(e'A^-1 e), which is the energy
-                norm of the displacement's error. If the solver cannot reach this accuracy, e is
-                larger.
+        The accuracy is the requested error; if the solver for K cannot reach it, the error is
+        larger.
         """
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K [energy^(1/2)] of the displacement; 0 if less than its error. Collective.
-
-        Here r is A x - b.
-        """
+        """Return |u|_K [energy^(1/2)] for r = A x - b; 0 if less than its error. Collective."""
 
     def energy_resolution(self) -> float:
         """Return the energy norm below which displacements are rounding errors. Collective."""
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
-        """Return a bound of |u - u*|_K [energy^(1/2)] for the displacement u at x. Collective.
-
-        Here u* is the displacement of the exact solution.
-        """
+        """Return a bound of the displacement's error |u - u*|_K [energy^(1/2)]. Collective."""
 
     def local_error(self, x: Array, r: Array) -> float:
         """Return the largest distance of a node's traction from its local minimiser. Collective.
@@ -124,9 +112,7 @@ class DualProblem(InnerProduct, Protocol):
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        Args:
-            x: (size,) multipliers; an approximate solution is sufficient.
-            c: (k,) multipliers of the equality constraints.
+        An approximate solution is sufficient.
         """
 
 
@@ -135,8 +121,6 @@ class Point:
     """Multipliers with their gradient.
 
     Attributes:
-        x: (size,) multipliers.
-        c: (k,) multipliers of the equality constraints.
         r: (size,) gradient A x - b - G c, or an approximation of it.
     """
 
@@ -169,11 +153,8 @@ class DualSolution:
         multipliers: (size,) lambda in Lambda.
         c: (k,) multipliers of the equality constraints.
         gradient: (size,) r = A lambda - b - G c at the multipliers.
-        status: reason for the end of the iteration.
-        iterations: number of outer iterations.
         residuals: relative natural residual at the start and after each iteration.
         q: q(lambda) at the start and after each iteration, with the energy of soft constraints.
-        rho: the step length at the end.
         wanted: requested relative error in the energy norm; inf if residuals were the criterion.
         displacement_tolerance: tolerable error of the displacement in the energy norm, not
             relative; None: determined by the options of the solver for K.

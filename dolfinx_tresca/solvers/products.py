@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, eigh
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, issparse
 from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix, dense, scaled_rows
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix, dense
 from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
@@ -65,13 +65,9 @@ class NodalMaps:
         change of a bound itself changes the slip, by -D times the change. With D in place of M,
         Q P s and H r are therefore divided by 1 + h D.
 
-        Args:
-            cones: the friction cones, whose bounds change; with Lambda, Q and H are zero.
-            x: (size,) point on the face.
-            face: the face.
-            diagonal: (size,) D. `inverse` is exact if D is the same for all degrees of freedom of a
-                friction disc.
-            stiffness: (size,) C >= 0, the same for all degrees of freedom of a disc.
+        The diagonal (size,) is D; `inverse` is exact if D is the same for all degrees of freedom of
+        a friction disc. The stiffness (size,) is C >= 0, the same for all degrees of freedom of a
+        disc. If the set is Lambda, Q and H are zero.
         """
         stiffness = np.minimum(stiffness, STIFFEST * diagonal)
         weight, radial, free = np.reciprocal(diagonal + stiffness), face.radial, face.free
@@ -81,13 +77,13 @@ class NodalMaps:
         by_pressure = free * cones.at_normals(slope)
         damped = weight * free * cones.at_normals(slope / damping)
         damped += face.along_radius(by_slip / damping)
-        matrix, zeros, on_radius = cones.nodal_matrix, np.zeros_like(x), diagonal * radial
-        project = matrix(free.astype(np.float64), (radial, -radial))
-        fixed = matrix(np.where(free, 0.0, diagonal), (on_radius, radial - by_pressure))
+        matrix, on_radius = cones.nodal_matrix, diagonal * radial
+        along_slip = on_radius, face.along_radius(by_slip)
+        fixed = on_radius, radial - by_pressure
         return cls(
-            test=project + matrix(zeros, (on_radius, face.along_radius(by_slip))),
-            added=scaled_rows(project, stiffness) + fixed,
-            inverse=scaled_rows(project, weight) + matrix(zeros, (radial, damped)),
+            test=matrix(np.where(free, 1.0, 0.0), (radial, -radial), along_slip),
+            added=matrix(np.where(free, stiffness, diagonal), (stiffness * radial, -radial), fixed),
+            inverse=matrix(weight * free, (weight * radial, -radial), (radial, damped)),
         )
 
 
@@ -164,12 +160,7 @@ class BlockBFGSModel:
         Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
         so that the system has a solution even if the second equation has none.
 
-        Args:
-            maps: T and R.
-            right: (size,) r.
-            G: (size, k) columns of length 1.
-            softness: (k, k) S.
-            missing: (k,) e.
+        The right-hand sides are r (size,), and e (k,), which is `missing`.
         """
         unit = self._unit
         columns = np.column_stack([self._U, unit * G.toarray()])
@@ -241,12 +232,8 @@ class ProductStore:
     ) -> None:
         """Create a store without pairs (w, A w).
 
-        Args:
-            reductions: sums over the ranks.
-            diagonal: (size,) estimate of diag(A) > 0, the same for all degrees of freedom of a
-                friction disc. It affects the number of products, not the result.
-            capacity: limit on the number of pairs.
-            apply_near: function that applies the near field D; None: there is none.
+        The diagonal (size,) estimates diag(A) > 0, equally for all degrees of freedom of a friction
+        disc. It affects the number of products, not the result.
         """
         self._reductions, self._diagonal, self.scale = reductions, diagonal, 1.0
         self.near: ProductStore | None = None
@@ -273,16 +260,9 @@ class ProductStore:
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
         """Add a pair (x, A x), unless its new part is smaller than errors or rounding. Collective.
 
-        The new part is the part of the pair that does not follow from known pairs.
-
-        Args:
-            x: (size,) vector.
-            product: (size,) A x.
-            error: error of the product in the norm sqrt(e'A^-1 e), without rounding errors.
-
-        Returns:
-            True if the new part exceeds its error. The pair was then added, unless its new part is
-            so small that it may be rounding.
+        The new part is the part of the pair that does not follow from known pairs. The error is
+        given in the norm sqrt(e'A^-1 e), without rounding errors. The result is True if the new
+        part exceeds its error; the pair was then added, unless its new part may be rounding.
         """
         inner = self._reductions.inner
         energy = float(inner(x, product))
@@ -313,10 +293,9 @@ class ProductStore:
     def product(self, x: Array) -> tuple[Array, float]:
         """Return an approximation of A x from the pairs, and its error. Collective.
 
-        Returns:
-            A times the part of x in the span of the pairs (size,), and the error in the norm
-            sqrt(e'A^-1 e). The error contains the errors of the pairs, and the energy of the other
-            part of x, computed with diag(A) in place of A.
+        This is A times the part of x in the span of the pairs. The error, in the norm sqrt(e'A^-1
+        e), contains the errors of the pairs, and the energy of the other part of x, computed with
+        diag(A) in place of A.
         """
         new, product = self.split(x)
         inner = self._reductions.inner
@@ -387,8 +366,7 @@ class ProductStore:
     def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
         """Return the model of A: the diagonal, updated with all pairs. Collective.
 
-        Args:
-            base: model of the near field, which replaces the diagonal; None: the diagonal is used.
+        A model of the near field, given as `base`, takes the place of the diagonal.
         """
         return BlockBFGSModel(self._reductions, self.diagonal, self.W, self.Y, base)
 
@@ -430,13 +408,9 @@ class WholeModel:
     ) -> None:
         """Prepare products. Collective.
 
-        Args:
-            reductions: sums over the ranks.
-            rows: (size, n) this rank's rows of A, with columns for the multipliers of all ranks.
-            begin: position of this rank's first row in A.
-            local_compliance: (size,) compliance of nodes whose neighbours are fixed.
-            solve: function that solves a system of equations with a sparse matrix that is not
-                symmetric; every rank calls it. Not used if `rows` is dense.
+        This rank's rows (size, n) of A start at the row `begin` of A. The `local_compliance`
+        (size,) is that of nodes whose neighbours are fixed. If the matrix is sparse, every rank
+        calls `solve` for systems with a sparse matrix that is not symmetric.
         """
         self._reductions, self._solve = reductions, solve
         size, n = rows.shape
@@ -485,8 +459,7 @@ class WholeModel:
     def softened(self, softness: float) -> WholeModel:
         """Return the model A + s diag(A) of contact on a soft layer at each node. Collective.
 
-        Args:
-            softness: s, the compliance of the layer relative to that of the node.
+        The softness s is the compliance of the layer relative to that of the node.
         """
         layer = diags_array(self._gathered(softness * self.diagonal), format="csr")
         model = copy(self)
@@ -529,11 +502,7 @@ class WholeModel:
         return self._reductions.total(result)
 
     def _whole(self, own: csr_array) -> csr_array:
-        """Return the matrix (n, n) whose diagonal blocks are those of each rank. Collective.
-
-        Args:
-            own: (size, size) this rank's block.
-        """
+        """Return the matrix (n, n) whose diagonal blocks are those of each rank. Collective."""
         own = csr_array(own)
         own.eliminate_zeros()
         columns = own.indices + self._mine.start

@@ -139,7 +139,20 @@ class SemismoothNewton:
         The number `softness` is added to S for the change of c only, as in a proximal point method:
         solutions of the problem remain solutions.
         """
-        constraints, x, c, r = self.problem.constraints, point.x, point.c, point.r
+        constraints = self.problem.constraints
+        settled, maps, right = self.equations(point)
+        change, change_c = self.model.solve_between(
+            maps,
+            right,
+            constraints.columns,
+            constraints.softness_with(softness),
+            constraints.residual(settled, point.c),
+        )
+        return settled + change - point.x, change_c
+
+    def equations(self, point: NewtonPoint) -> tuple[Array, NodalMaps, Array]:
+        """Return the multipliers from which a step begins, its maps, and its right-hand side."""
+        x, r = point.x, point.r
         target = x - self.rho * r
         admissible = self.problem.admissible.at_point(x, r, target)
         section = admissible.section(x)
@@ -147,14 +160,8 @@ class SemismoothNewton:
         settled = section.on_face(x, face)
         r = r + self.model.apply(settled - x)
         diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
-        change, change_c = self.model.solve_between(
-            NodalMaps.on_face(admissible, settled, face, diagonal, stiffness),
-            -r - admissible.slip_along(face),
-            constraints.columns,
-            constraints.softness_with(softness),
-            constraints.residual(settled, c),
-        )
-        return settled + change - x, change_c
+        maps = NodalMaps.on_face(admissible, settled, face, diagonal, stiffness)
+        return settled, maps, -r - admissible.slip_along(face)
 
     def solve(self, start: NewtonPoint, tolerance: float, softer: float = 1.0) -> NewtonPoint:
         """Return the point with the least residual.
@@ -164,11 +171,9 @@ class SemismoothNewton:
         product improves and without constraints, which are to hold to rounding), or where it has
         not decreased in `PATIENCE` steps.
 
-        Args:
-            start: initial guess.
-            tolerance: residual of a point that solves the equations.
-            softer: factor on the softness in the first step; if it is not 1, steps are halved
-                `FEWER_HALVINGS` times at most.
+        The tolerance is the residual of a point that solves the equations. The softness in the
+        first step is multiplied by `softer`; if this is not 1, steps are halved `FEWER_HALVINGS`
+        times at most.
         """
         point = best = start
         softness, idle = softer * self.softness, 0
@@ -230,10 +235,10 @@ class ConvexNewton(SemismoothNewton):
         super().__init__(problem, model)
         cones = problem.admissible.at_point(x, r)
         self.cones = cones.section(x) if given else cones
-        nodes = problem.constraints.nodes
-        largest = np.zeros(nodes.max(initial=-1) + 1)
-        np.maximum.at(largest, nodes, self.size)
-        self.rho = 1.0 / largest[nodes]
+        # the same for all multipliers of a cone
+        largest = np.maximum(cones.disc_means(self.size), cones.of_normals(self.size))
+        rows = cones.at_normals(largest) + cones.at_tangents(largest)
+        self.rho = 1.0 / np.maximum(self.size, rows)
         self.opening = self.cones.dilation(x, r)
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
@@ -242,36 +247,24 @@ class ConvexNewton(SemismoothNewton):
         unbalanced = self.problem.constraints.residual(x, c)
         return NewtonPoint(x, c, r, self.energy(change, unbalanced))
 
-    def step(self, point: NewtonPoint, softness: float) -> tuple[Array, Array]:
-        """Return the changes of x and c by a whole Newton step from a point.
+    def equations(self, point: NewtonPoint) -> tuple[Array, NodalMaps, Array]:
+        """Return the multipliers from which a step begins, its maps, and its right-hand side.
 
         With the derivative D of the projection at z, and its result y = P_K(z), the step ends at
         y + v with ((I - D) / rho + D M) v - D G c = D (M (x - y) - (x - y) / rho).
         """
-        constraints, z = self.problem.constraints, point.x - self.rho * (point.r + self.opening)
+        z = point.x - self.rho * (point.r + self.opening)
         derivative, settled = self.cones.projection_derivative(z), self.cones.project(z)
         residual, identity = point.x - settled, eye_array(len(z))
         added = diags_array(1.0 / self.rho) @ (identity - derivative)
         maps = NodalMaps(test=derivative, added=added, inverse=identity)
-        change, change_c = self.model.solve_between(
-            maps,
-            self.model.apply(residual) - residual / self.rho,
-            constraints.columns,
-            constraints.softness_with(softness),
-            constraints.residual(settled, point.c),
-        )
-        return change - residual, change_c
+        return settled, maps, self.model.apply(residual) - residual / self.rho
 
 
 def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonPoint:
     """Return an approximate solution of the contact problem with a model of A. Collective.
 
     Needs no product with A.
-
-    Args:
-        problem: the dual problem, with friction cones and constraints.
-        model: model M of A.
-        start: point in the cones, with the gradient for A.
     """
     newton = SemismoothNewton(problem, model)
     guess = newton.point(start.x, start.c, start.r)
@@ -302,12 +295,7 @@ def solve_from_other_guesses(
     solutions of convex problems, the first without slip, each other one with the slips of the
     solution before.
 
-    Args:
-        newton: Newton's method, which has failed.
-        model: model of A in Newton's method.
-        start: initial guess with which Newton's method failed.
-        best: result of this failed run.
-        tolerance: requested residual.
+    Newton's method has failed from the start; its result is `best`.
     """
     problem, G = newton.problem, newton.problem.constraints.columns
     r = start.r - model.apply(start.x) + G @ start.c
@@ -348,11 +336,7 @@ def solve_model(
     product with D costs one solve with a small matrix, and no solve with K. Products with D are
     kept until the products with A are dropped. Collective.
 
-    Args:
-        problem: the cones, D, and the known products with D and A.
-        start: point in the cones.
-        residual: the natural residual, with its step length.
-        tolerance: requested natural residual, with the model in place of A.
+    The tolerance is a natural residual, with the model in place of A.
     """
     store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:

@@ -130,12 +130,7 @@ def test_where_there_is_no_fixed_point_none_is_claimed():
     problem = wedge(0.5)
     problem.A, problem.b = np.eye(2), np.array([1.0, 0.0])
     problem.constraints = EqualityConstraints(
-        csr_array([[0.0], [1.0]]),
-        csr_array((1, 1)),
-        np.ones(1),
-        np.ones(1),
-        OneRank(),
-        np.array([0, 0]),
+        csr_array([[0.0], [1.0]]), csr_array((1, 1)), np.ones(1), np.ones(1), OneRank()
     )
     found = run(problem, rtol=RTOL)
     assert found.status is ContactStatus.NO_FIXED_POINT
