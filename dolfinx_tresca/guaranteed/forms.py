@@ -30,9 +30,6 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
 
     They follow from a(w, v) for displacements w with constant gradients and quadratic v of each
     cell, which must be the work of constant stresses that rotations do not cause. Collective.
-
-    Raises:
-        InputError: a depends on more than the symmetric gradient, or a tensor varies in a cell.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
@@ -89,19 +86,12 @@ def loads(
     them are exact for polynomials of degree up to 5, see `SQUARES`. They have a quadratic part and
     the rest, the distance from quadratic functions: on facets the factor of the former is smaller.
 
-    Args:
-        L: the form.
-        cells: the cells.
-        factors: (n, d + 2) bounds of the work of a load of norm 1 that is orthogonal to linear
-            functions, relative to the energy norm: in the cell, and on each facet.
-        maps: entity maps of Functions on other meshes.
+    `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
+    relative to the energy norm: in the cell, and on each facet.
 
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
         bounds (n,) of the work of the loads minus their projections, relative to the energy norm.
-
-    Raises:
-        InputError: L has integrals over interior facets, or depends on the gradient.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     loading, oscillation = np.zeros((n, corners, corners, d)), np.zeros(n)
@@ -159,12 +149,9 @@ def largest_work(quadratic: Array, farther: Array, ratio: float) -> Array:
     """Return |t - t_h| cos(theta_F) (n,) of tractions on facets (docs/theory/guaranteed.md).
 
     The factor R_F of a traction that is orthogonal to linear functions is too large for its
-    quadratic part, whose factor is Q_F: R_F cos(theta_F) is Q_F for quadratic tractions.
-
-    Args:
-        quadratic: (n,) norms of the quadratic parts of t - t_h.
-        farther: (n,) distances of the tractions t from quadratic functions.
-        ratio: Q_F / R_F; 1 for loads in cells.
+    quadratic part, whose factor is Q_F: R_F cos(theta_F) is Q_F for quadratic tractions. These
+    parts have norms (n,), the tractions distances (n,) from quadratic functions, and the ratio is
+    Q_F / R_F, or 1 for loads in cells.
     """
     angle = np.arccos(ratio) - np.arctan2(farther, quadratic)
     return np.asarray(np.hypot(quadratic, farther) * np.cos(np.maximum(angle, 0.0)))

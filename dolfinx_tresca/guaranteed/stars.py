@@ -23,8 +23,7 @@ class Stars:
     the sum of those of its two sides, the same in the stars of its d vertices.
 
     Tractions are on this rank's facets, ghosts included; loadings are of the cells it owns. The
-    equations of a star, with a row for each of its cells, are solved by the rank that owns the
-    vertex.
+    rank that owns a vertex solves the equations of its star, with a row for each cell.
     """
 
     def __init__(self, cells: MeshCells, stiffness: Array, free: Mask) -> None:
@@ -122,11 +121,9 @@ class Stars:
     def preconditioned(self, gradient: Array) -> Array:
         """Return a loading without resultants that decreases a quadratic function. Collective.
 
-        It is the sum of the best corrections of all stars, where the second derivative is replaced
-        by the stiffnesses of facets.
-
-        Args:
-            gradient: (n, d + 1, d + 1, d) minus the function's derivative by the loading.
+        It is the sum of the best corrections of all stars, with the stiffnesses of facets in place
+        of the second derivative; `gradient` (n, d + 1, d + 1, d) is minus the derivative by the
+        loading.
         """
         cells, d = self._cells, self._cells.d
         forces = cells.facet_sums(cells.signs * gradient[:, :, :d]).reshape(-1, d * d, 1)
@@ -138,16 +135,11 @@ class Stars:
         return cells.on_sides(d * tractions[..., 0] - self._balancing(total))
 
     def equilibrated(self, loading: Array, force: Array) -> Array:
-        """Return a loading in equilibrium. Collective.
+        """Return a loading that balances forces (n, d + 1, d) at vertices of cells. Collective.
 
         Its tractions are the given ones, elsewhere the means of those of both sides, with the least
-        corrections of all stars.
-
-        Args:
-            loading: (n, d + 1, d + 1, d) loads, and tractions: those that are given, and
-                approximate ones.
-            force: (n, d + 1, d) forces at the vertices of cells, which the loading is to balance.
-                Their sums around vertices are those of the loads and given tractions.
+        corrections of all stars. Sums of the forces around vertices are those of the loads and
+        given tractions.
         """
         cells, d = self._cells, self._cells.d
         means = cells.facet_sums(cells.signs * loading[:, :, :d]) / self._sides

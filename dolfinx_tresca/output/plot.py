@@ -88,11 +88,6 @@ def plot(
     Returns:
         if `path` is None, the picture on the first rank, a `PIL.Image.Image`: notebooks show it,
         and its method `show()` opens it elsewhere; otherwise None.
-
-    Raises:
-        InputError: the suffix is unknown, scale is no number of 0 or more, or the file cannot be
-            written.
-        ContactError: there is no pyvista or matplotlib, or VTK would need a display.
     """
     comm = u.function_space.mesh.comm
     name = comm.bcast(None if path is None else str(path), root=ROOT)
@@ -124,7 +119,7 @@ def plot(
 def compose(
     volume: Grid, contacts: Sequence[Contact], scale: float | None, units: Units | None
 ) -> Any:
-    """Return the picture as a figure, in matplotlib's current style. Not collective.
+    """Return the picture as a figure, in matplotlib's current style.
 
     The bodies are on the left, no taller than two rows, and each contact has a row on the right.
     """
@@ -148,14 +143,10 @@ def compose(
 
 @contextmanager
 def display_for_pictures() -> Iterator[None]:
-    """Let VTK render within a `with` block, also without a display. Not collective.
+    """Let VTK render within a `with` block, also without a display.
 
-    Without a display VTK 9.5 and later render through EGL, if the system has this library. Older
-    versions of VTK, and later versions without EGL, would end in a segmentation fault: for these
-    versions Xvfb, an X server, is started.
-
-    Raises:
-        ContactError: EGL cannot be used, and Xvfb is not installed or fails.
+    Then VTK 9.5 and later render through EGL, if the system has this library. Other versions would
+    end in a segmentation fault: for these Xvfb, an X server, is started.
     """
     with ExitStack() as stack:
         linux = sys.platform.startswith("linux")
@@ -177,11 +168,7 @@ def renders_off_screen() -> bool:
 
 
 def x_server(stack: ExitStack) -> str:
-    """Run the X server Xvfb until a stack ends, and return its DISPLAY.
-
-    Raises:
-        ContactError: Xvfb is not installed, or it fails.
-    """
+    """Run the X server Xvfb until a stack ends, and return its DISPLAY."""
     program = shutil.which("Xvfb")
     if program is None:
         raise ContactError(

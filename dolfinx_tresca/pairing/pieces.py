@@ -43,11 +43,7 @@ PARALLEL = 1e-30
 
 
 def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
-    """Concatenate the integer ranges starts[i], ..., starts[i] + numbers[i] - 1.
-
-    Returns:
-        The index i (m,) of the range of each member, and the members (m,).
-    """
+    """Concatenate integer ranges; return the range (m,) of each member, and members (m,)."""
     owner = np.repeat(np.arange(len(numbers)), numbers)
     offsets = np.cumsum(numbers) - numbers
     return owner, np.arange(len(owner)) + (starts - offsets)[owner]
@@ -69,17 +65,11 @@ def blocks(count: int) -> Iterator[slice]:
 def line_intervals(
     box: Array, origins: Array, directions: Array, reach: Array
 ) -> tuple[Array, Array]:
-    """Intersect lines with a box (2, 3), widened on all sides by the reach of each line.
+    """Intersect lines with a box (2, 3), widened on all sides by the reach (n,) of each line.
 
-    Args:
-        box: the least and the greatest coordinates [length].
-        origins: (n, 3) the point of each line whose parameter is 0 [length].
-        directions: (n, 3) unit vectors along the lines.
-        reach: (n,) distance by which the box is widened for each line [length].
-
-    Returns:
-        The parameters (n,) at which the lines enter the box and leave it [length]; the first one is
-        the greater one if a line misses the box.
+    The lines have origins (n, 3) and unit directions (n, 3). Return the parameters (n,) at which
+    they enter and leave the box [length]; the first one is the greater one if a line misses the
+    box.
     """
     # a line that is parallel to a side of the box meets its plane far away
     slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
@@ -150,10 +140,7 @@ class Pieces:
 
     @cached_property
     def _trees(self) -> list[tuple[Indices, Any]]:
-        """The pieces with radii between two powers of two, and a tree of their centres, for each.
-
-        So large pieces do not widen the search for small ones.
-        """
+        """The pieces of each size, between two powers of two, and a tree of their centres."""
         _, exponent = np.frexp(self.radii)
         classes = [np.flatnonzero(exponent == size) for size in np.unique(exponent)]
         return [(members, cKDTree(self.centres[members])) for members in classes]
@@ -164,8 +151,8 @@ class Pieces:
         """Find the pieces that given balls may meet if they move along their normals.
 
         The balls that enclose the pieces are met. The search advances along a line as far as the
-        distance to the nearest of them allows. The work is proportional to the number of moving
-        balls times the logarithm of this distance.
+        distance to the nearest of them allows: the work is proportional to the number of lines
+        times the logarithm of this distance.
 
         Args:
             centres: (n, 3) centres of the moving balls [length].
@@ -174,7 +161,7 @@ class Pieces:
             limit: (n,) search distance both ways [length]; pieces slightly beyond may be met, too.
 
         Returns:
-            The moving ball (m,) of each pair, ascending, and the piece (m,) that it meets.
+            the moving ball (m,) of each pair, ascending, and the piece (m,) that it meets.
         """
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
@@ -211,7 +198,7 @@ class Pieces:
         """Yield pairs of chosen pieces, ascending, and partners along their normals, in blocks.
 
         The normals of both are opposed. All pairs of a piece are in one block; `limit` (pieces,) is
-        the search distance of each piece [length].
+        the search distance [length].
         """
         for block in blocks(len(chosen)):
             own = chosen[block]
@@ -223,10 +210,7 @@ class Pieces:
             yield piece[opposed], partner[opposed]
 
     def local_coordinates(self, piece: Indices, points: Array) -> Array:
-        """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
-
-        The origin is the centre of the piece; the last coordinate is the height over its plane.
-        """
+        """Return points (n, k, 3) in the frames of pieces (n,), from their centres."""
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
 
@@ -295,15 +279,8 @@ def near_lines(
 ) -> Facets:
     """Return this rank's facets and those of all ranks that are close to lines. Collective.
 
-    See `Pieces.on_normals`. Lines without length are points.
-
-    Args:
-        comm: the communicator.
-        owned: the facets that this rank owns.
-        points: (n, 3) a point of each line [length].
-        directions: (n, 3) unit vectors along the lines.
-        reach: (n,) distance within which facets are close [length].
-        length: length of the lines both ways from their points [length], a number or (n,).
+    Lines have a point (n, 3), a unit direction (n, 3), a reach (n,) within which facets are close,
+    and a length, a number or (n,), both ways [length]; without length they are points.
     """
     if comm.size == 1:
         return owned
@@ -332,10 +309,7 @@ def near_lines(
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
-    """Send facets (n,) of this rank to ranks (n,). Collective.
-
-    The result has the facets that this rank owns, and those that were sent to it.
-    """
+    """Return the facets that this rank owns or gets; send facets (n,) to ranks. Collective."""
     arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
     count = len(owned.points)
     kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
@@ -352,7 +326,7 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
 def with_neighbours(V: Any, owned: Facets) -> Facets:
     """Return all facets at this rank's nodes and two rings around them. Collective.
 
-    A ring are all facets at the corners of facets: `SmoothSurface` depends on two of them.
+    A ring are all facets at the corners of facets: `SmoothSurface` depends on two.
     """
     mine = Pieces.from_facets(facets_at_own_nodes(V, owned))
     reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
@@ -362,10 +336,9 @@ def with_neighbours(V: Any, owned: Facets) -> Facets:
 def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Facets, Facets]:
     """Return all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides that lie along the normals of the rank's facets; if facets of
-    the rank penetrate the primary side, the primary facets near them; and two rings of facets
-    around paired facets, see `with_neighbours`. The facets that this rank owns are given; `limit`
-    is the search distance, beyond which no points are paired [length].
+    These are the facets of both sides along the normals of the rank's facets; if these penetrate,
+    the primary facets near them; and two rings around paired facets, see `with_neighbours`. The
+    facets that this rank owns are given, and the search distance [length].
     """
     comm = V.mesh.comm
     if comm.size == 1:
