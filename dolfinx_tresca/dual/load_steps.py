@@ -93,7 +93,7 @@ def _bent_primary(
         pair: the pair whose primary edges are bent.
         operators: N and T of the pair in the displaced configuration.
     """
-    sides = operators.undeformed.sides.values()
+    sides = operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
         return straight
     if pair.touches_itself:  # the tags do not tell primary from secondary nodes

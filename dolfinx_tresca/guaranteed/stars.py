@@ -34,7 +34,8 @@ class Stars:
             stiffness: (n, d + 1, d * d, d * d) energies of tractions on each facet.
             free: (n, d + 1, d) whether the traction on a facet is unknown along an axis.
         """
-        d, self._cells = cells.d, cells
+        d, sides, comm = cells.d, opposite(cells.d), cells.V.mesh.comm
+        self._cells, (n, corners) = cells, cells.facets.shape
         self._sides = cells.facet_sums(np.ones((*cells.facets.shape, 1, 1)))
         sums = cells.facet_sums(stiffness)
         unknown = np.tile(cells.facet_sums(free[:, :, None].astype(np.float64)) > 0.0, d)
@@ -43,20 +44,13 @@ class Stars:
         self._softness = both * np.linalg.inv(np.where(both, sums, diagonal))
         # work of tractions on the rigid motions about each vertex of a facet: equal on both sides
         points, areas = np.zeros((len(sums), 1, d, d)), np.zeros((len(sums), 1, 1, 1, 1))
-        points[cells.facets, 0] = cells.points[:, opposite(d)]
+        points[cells.facets, 0] = cells.points[:, sides]
         areas[cells.facets, 0, 0, 0, 0] = cells.areas
         motions = rigid_motions(points - np.swapaxes(points, 1, 2))
         work = areas * (mean_products(d, 2) @ motions)
         self._work = work.reshape(len(sums), d, -1, d * d)
-        self._factor()
 
-    def _factor(self) -> None:
-        """Factor the equations of the stars of this rank's vertices. Collective.
-
-        They are those of graphs: cells are the nodes, facets the edges, with blocks as weights.
-        """
-        cells, sides = self._cells, opposite(self._cells.d)
-        (n, corners), comm = cells.facets.shape, cells.V.mesh.comm
+        # equations of graphs: cells are the nodes, facets the edges, with blocks as weights
         weights = self._work @ self._softness[:, None] @ np.swapaxes(self._work, 2, 3)
         size = weights.shape[-1]
         # numbers of rows at the owners of the vertices: of cells, and of those across facets

@@ -112,8 +112,14 @@ class SmoothSurface:
         smooth = self._smoothness(nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        turns_at_kinks = turned_angles(self._cosines())
-        self._height_factors = self._fitted_heights(smooth)
+        cosines, (start, end) = self._cosines(), self._slopes()
+        turns_at_kinks = turned_angles(cosines)
+        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
+        # both is right to fourth order in the angle.
+        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        # (n, pairs) factors of products of two hat functions in heights [length]
+        self._height_factors = heights * (not facets.bent)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
         kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
         leaning = self._facet_normals[:, None] - self.corner_normals
@@ -139,19 +145,6 @@ class SmoothSurface:
         at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
-
-    def _fitted_heights(self, smooth: Array) -> Array:
-        """Return the factors (n, pairs) of products of two hat functions in heights [length].
-
-        They are zero if facets are bent; `smooth` (n,) is the factor of `_smoothness`.
-        """
-        start, end = self._slopes()
-        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
-        # both is right to fourth order in the angle.
-        cosines = self._cosines()
-        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
-        heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        return np.asarray(heights * (not self.facets.bent))
 
     def _cosines(self) -> Array:
         """Return the cosines (n, corners) between the normals at corners and of the facet."""

@@ -214,9 +214,24 @@ def couple(
     """
     group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
     pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
-    columns = V.dofmap.index_map.size_global
+    corners, columns = nodes.facet_nodes, V.dofmap.index_map.size_global
+    facet, partner = integrals.pairs.T
     with errors_on_all_ranks(comm):
-        weights, jump, across, means = mortar_rows(nodes, primary, integrals, columns, carries)
+        # means, weighted by the functions psi_i of the dual basis: of the displacement on both
+        # sides, of the six quantities of `FacetIntegrals.means`, and of the coordinates
+        sums = redistribution(carries)
+        weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", sums, integrals.hats), 0.0)
+        scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
+        dual = dual_coefficients(integrals.hats, carries) * scale[corners][:, :, None]
+        own = dual @ integrals.values
+        jump = assemble_rows(nodes, corners, facets.nodes, own, columns)
+        across = csr_array(jump.shape)
+        if primary is not None:
+            blocks = dual[facet] @ integrals.partner
+            across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
+            jump = jump - across
+        means = np.concatenate([dual @ integrals.means, own @ facets.points], axis=2)
+        means = nodes.reduced(np.add, means, 0.0)
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     length = np.linalg.norm(means[:, 3:6], axis=1)
     vectors = np.where((length <= CANCELLED)[:, None], nodes.normals, means[:, 3:6])
@@ -229,12 +244,11 @@ def couple(
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
 
-    facet, partner = integrals.pairs.T
-    sizes = np.einsum("nij,njk->ni", redistribution(carries)[facet], integrals.partner)
+    sizes = np.einsum("nij,njk->ni", sums[facet], integrals.partner)
     column = partner if primary is None else primary.tag_index[partner]
     member = group.pair_of_tags[facets.tag_index[facet], column]
     shares: Array = np.zeros((count, len(group.pairs)))
-    np.add.at(shares, (nodes.facet_nodes[facet], member[:, None]), sizes)
+    np.add.at(shares, (corners[facet], member[:, None]), sizes)
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
     if not moved and primary is not None:
@@ -297,38 +311,6 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
             *(pair, depth, height),
             about=pair,
         )
-
-
-def mortar_rows(
-    nodes: SurfaceNodes,
-    primary: Facets | None,
-    integrals: FacetIntegrals,
-    columns: int,
-    carries: Mask,
-) -> tuple[Array, Any, Any, Array]:
-    """Return means of the jump, weighted by the functions psi_i of the dual basis.
-
-    Returns:
-        for each of the nodes (n,) the covered area [length^2, in 2D length]; the sparse matrix (n,
-        nodes of V) of the jump, secondary minus primary, and that of its primary part; and (n, 9)
-        the means of the six quantities of `FacetIntegrals.means`, and of the coordinates, which are
-        the point of application of the nodal force.
-    """
-    corners = nodes.facet_nodes
-    sizes = np.einsum("nij,njk->ni", redistribution(carries), integrals.hats)
-    weights = nodes.reduced(np.add, sizes, 0.0)
-    scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-    dual = dual_coefficients(integrals.hats, carries) * scale[corners][:, :, None]
-    own = dual @ integrals.values
-    jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns)
-    across = csr_array(jump.shape)
-    if primary is not None:
-        facet, partner = integrals.pairs.T
-        blocks = dual[facet] @ integrals.partner
-        across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
-        jump = jump - across
-    means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
-    return weights, jump, across, nodes.reduced(np.add, means, 0.0)
 
 
 def dual_coefficients(hats: Array, carries: Mask) -> Array:

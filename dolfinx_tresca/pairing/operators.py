@@ -120,7 +120,7 @@ class PairOperators:
     @property
     def axisymmetric(self) -> bool:
         """Whether areas are areas of rings about the axis x = 0."""
-        return any(facets.axisymmetric for facets in self.undeformed.sides.values())
+        return self.undeformed.sides[0].axisymmetric
 
     @property
     def sizes(self) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -63,25 +63,23 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
 
 
 def _pair(
-    V: Any, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
+    V: Any, undeformed: Undeformed, sides: Sequence[Facets], *, moved: bool
 ) -> list[PairOperators]:
     """Compute N, T and the gap of pairs from their facets, see `pair_group`. Collective."""
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
-    owned = sides[pair.secondary]
-    primary = None
+    owned, partners, primary = sides[0], sides[-1], None
     if pair.obstacle is not None:
-        nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
+        nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, owned), moved)
         nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, moved)
         shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
-        partners = owned if pair.touches_itself else sides[pair.primary]
         around, across = halos(V, owned, partners, pair.search_limit)
         if pair.touches_itself:
-            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
+            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", across, moved)
         else:
-            nodes = _surface_nodes(V, pair, "secondary", owned, around, moved)
-            primary_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
+            nodes = _surface_nodes(V, pair, "secondary", around, moved)
+            primary_nodes = _surface_nodes(V, pair, "primary", across, moved)
         facets, primary = nodes.facets, primary_nodes.facets
 
         def may_meet(facet: Indices, partner: Indices) -> Mask:
@@ -143,9 +141,9 @@ def _check_meshes_match(
 
 
 def _surface_nodes(
-    V: Any, pair: ContactPair, side: SideName, owned: Facets, halo: Facets, moved: bool
+    V: Any, pair: ContactPair, side: SideName, halo: Facets, moved: bool
 ) -> SurfaceNodes:
-    """Return the nodes of the facets `halo`, of which this rank has `owned`, on a side. Collective.
+    """Return the nodes of the facets on a side that this rank pairs. Collective.
 
     The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
     there. Coincident nodes have the same coordinates and are sent to the same rank, which counts
@@ -165,7 +163,7 @@ def _surface_nodes(
             )
     if moved or pair.touches_itself:
         return nodes
-    size = np.linalg.norm(np.ptp(owned.points, axis=1), axis=1)
+    size = np.linalg.norm(np.ptp(halo.points, axis=1), axis=1)
     smallest = reduce_array(comm, size.min(initial=np.inf), MPI.MIN)
     tags = pair.facet_tags
     outside = tags.indices[tags.values != getattr(pair, side)]

@@ -42,13 +42,6 @@ CREDIBLE_PART = 0.1
 PARALLEL = 1e-30
 
 
-def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
-    """Concatenate integer ranges; return the range (m,) of each member, and members (m,)."""
-    owner = np.repeat(np.arange(len(numbers)), numbers)
-    offsets = np.cumsum(numbers) - numbers
-    return owner, np.arange(len(owner)) + (starts - offsets)[owner]
-
-
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
     """Concatenate lists; return the index (m,) of each member's list, and the members (m,)."""
     counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))

@@ -212,12 +212,12 @@ class Undeformed:
 
     Attributes:
         group: the pairs, which are paired together.
-        sides: tag -> facets of a side, the secondary side first. There is only one side if the
+        sides: the facets of each side, the secondary side first. There is only one side if the
             primary side is a rigid obstacle, or if the surface touches itself.
     """
 
     group: PairGroup
-    sides: dict[int, Facets]
+    sides: Sequence[Facets]
 
     @classmethod
     def from_mesh(
@@ -225,31 +225,25 @@ class Undeformed:
     ) -> Undeformed:
         """Extract the surfaces; for arguments see `pair_group`. Collective."""
         pair = group.surfaces
-        sides: dict[int, Facets] = {}
-        for name in _deformable_sides(pair):
-            facets = tagged_facets(V, prescribed, pair, name)
-            sides[getattr(pair, name)] = replace(facets, axisymmetric=axisymmetric)
-        sides = with_offsets(V, pair, sides)
+        names = SIDES[:1] if pair.touches_itself or pair.obstacle is not None else SIDES
+        sides = [tagged_facets(V, prescribed, pair, name) for name in names]
+        sides = [replace(facets, axisymmetric=axisymmetric) for facets in sides]
+        if pair.obstacle is None:
+            sides = with_offsets(V, pair, sides)
         if pair.touches_itself:
-            facets = sides[pair.secondary]
-            sides = {pair.secondary: replace(facets, origins=facet_origins(V, facets))}
+            sides = [replace(sides[0], origins=facet_origins(V, sides[0]))]
         return cls(group, sides)
 
-    def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
-        """Return tag -> this rank's facets of each side, moved by u (nodes, dim). Collective."""
-        result = {}
-        for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False):
+    def displaced(self, V: Any, u: Array) -> list[Facets]:
+        """Return this rank's facets of each side, moved by u (nodes, dim) [length]. Collective."""
+        result = []
+        for facets, name in zip(self.sides, SIDES, strict=False):
             node = V.dofmap.index_map.global_to_local(facets.nodes.ravel())
             points = facets.points.copy()
             points[:, :, : u.shape[1]] += u[node.reshape(facets.nodes.shape)]
             moved = facets.moved_to(points)
-            result[tag] = with_checked_areas(V.mesh.comm, moved, self.group.surfaces, name)
+            result.append(with_checked_areas(V.mesh.comm, moved, self.group.surfaces, name))
         return result
-
-
-def _deformable_sides(pair: ContactPair) -> tuple[SideName, ...]:
-    """Return the names of the sides of a pair that have facets of their own."""
-    return SIDES[:1] if pair.touches_itself or pair.obstacle is not None else SIDES
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
@@ -332,8 +326,8 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
     return replace(facets, bent=bool(bent))
 
 
-def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
-    """Return tag -> facets of a pair, with their `Facets.offsets`. Collective.
+def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]:
+    """Return the facets of a pair with their `Facets.offsets`. Collective.
 
     The projections of `pair.geometry`, or else of the geometry that the pair's tags know, are
     evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. Without projections, and with a
@@ -343,15 +337,16 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
     if geometry is None:
         geometry, limit = getattr(pair.facet_tags, "geometry", None), ON_SURFACE
     curved = geometry.curved if isinstance(geometry, GmshGeometry) else geometry or {}
-    tags_of_sides = [pair.given_tags(name)[1] for name in _deformable_sides(pair)]
-    if pair.obstacle is not None or curved.keys().isdisjoint(chain.from_iterable(tags_of_sides)):
+    tags_of_sides = [pair.given_tags(name)[1] for name in SIDES]
+    if curved.keys().isdisjoint(chain.from_iterable(tags_of_sides)):
         return sides
-    result = {}
     try:
         with errors_on_all_ranks(V.mesh.comm), open_geometry(geometry or {}) as surfaces:
-            for (side, facets), tags in zip(sides.items(), tags_of_sides, strict=True):
-                offsets = _offsets_of_tags(facets, tags, surfaces, V.mesh.geometry.dim, limit)
-                result[side] = replace(facets, offsets=offsets)
+            dim = V.mesh.geometry.dim
+            return [
+                replace(facets, offsets=_offsets_of_tags(facets, tags, surfaces, dim, limit))
+                for facets, tags in zip(sides, tags_of_sides, strict=False)
+            ]
     except (InputError, MeshError) as error:
         if pair.geometry is not None:
             raise
@@ -364,7 +359,6 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
             about=str(pair),
         )
         return sides
-    return result
 
 
 def _offsets_of_tags(

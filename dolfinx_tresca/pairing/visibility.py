@@ -22,7 +22,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.facets import FACING_COSINE, MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
-from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces, expanded_ranges, flattened
+from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces, flattened
 
 #: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
 #: surfaces penetrate each other by a part of their size.
@@ -138,8 +138,10 @@ class Visibility:
         pairs = np.cumsum(counts[line])
         blocks = np.flatnonzero(np.diff(pairs // (50 * AT_ONCE))) + 1
         for block in np.split(np.arange(len(line)), blocks):
-            row, point = expanded_ranges(starts[line[block]], counts[line[block]])
-            row = block[row]
+            numbers = counts[line[block]]
+            row = np.repeat(block, numbers)
+            ahead = starts[line[block]] + numbers - np.cumsum(numbers)
+            point: Indices = np.arange(len(row)) + np.repeat(ahead, numbers)
             around = corners[row, :, :-1] - places[point][:, None]
             crosses = _around_origin(around)
             row, point, middle = row[crosses], point[crosses], around[crosses].mean(axis=1)
