@@ -92,7 +92,30 @@ def refine(
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
     marked = largest_part(comm, np.square(errors / largest), fraction)
-    return _distributed(tagged_mesh, bisected(mesh, marked))
+    bisection = bisected(mesh, marked)
+    facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
+    with ExitStack() as session:
+        with errors_on_all_ranks(comm):
+            surfaces = session.enter_context(open_geometry(tagged_mesh.geometry or {}))
+        points = snapped(bisection, facets, facet_values, surfaces)
+
+    dim, index_map = mesh.topology.dim, bisection.mesh.geometry.index_map()
+    numbers = np.asarray(index_map.local_to_global(np.arange(len(points), dtype=np.int32)))
+    fine = compat.create_mesh(
+        comm,
+        numbers[bisection.nodes],
+        points[: index_map.size_local, :dim],
+        ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
+        ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
+    )
+    cell_tags = tagged_mesh.cell_tags
+    if cell_tags is not None:
+        cells, cell_values = bisection.inherited(cell_tags)
+        cell_tags = _with_names(fine, cell_tags, numbers[cells], cell_values)
+    facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
+    if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
+        facet_tags.cell_tags = cell_tags
+    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), tagged_mesh.geometry)
 
 
 class Bisection(NamedTuple):
@@ -214,35 +237,6 @@ def snapped(
             count,
         )
     return np.asarray(points)
-
-
-def _distributed(tagged_mesh: TaggedMesh, bisection: Bisection) -> TaggedMesh:
-    """Return the mesh of bisected cells, with tags and on curved surfaces. Collective."""
-    mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry
-    comm, dim = mesh.comm, mesh.topology.dim
-    facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
-    with ExitStack() as session:
-        with errors_on_all_ranks(comm):
-            surfaces = session.enter_context(open_geometry(geometry or {}))
-        points = snapped(bisection, facets, facet_values, surfaces)
-
-    index_map = bisection.mesh.geometry.index_map()
-    numbers = np.asarray(index_map.local_to_global(np.arange(len(points), dtype=np.int32)))
-    fine = compat.create_mesh(
-        comm,
-        numbers[bisection.nodes],
-        points[: index_map.size_local, :dim],
-        ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
-        ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
-    )
-    cell_tags = tagged_mesh.cell_tags
-    if cell_tags is not None:
-        cells, cell_values = bisection.inherited(cell_tags)
-        cell_tags = _with_names(fine, cell_tags, numbers[cells], cell_values)
-    facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
-    if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
-        facet_tags.cell_tags = cell_tags
-    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), geometry)
 
 
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:

@@ -91,9 +91,8 @@ class ContactSurface:
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
-        self.cell, self.facet, outside = self._facets_of("secondary", touching)
+        self.cell, self.facet, self._corners, outside = self._facets_of("secondary", touching)
         self._nodes = cells.facet_nodes[self.cell, self.facet]
-        self._corners = np.einsum("mkk->mk", self._nodes)
         normals = cells.normals[self.cell, self.facet]
         if rigid:
             self.normal = -pair.primary.at(np.zeros((1, 3)))[1][0, :d]
@@ -115,21 +114,24 @@ class ContactSurface:
         self.tractions = tractions[self._corners]
         self.sides = [(self.cell, self.facet, self.tractions)]
         if not rigid:
-            cell, facet, _ = self._facets_of("primary", touching)
+            cell, facet, corners, _ = self._facets_of("primary", touching)
             turned = np.vstack([normals, -cells.normals[cell, facet]]) - self.normal
             unpaired = comm.allreduce(len(cell) - len(self.cell))
             cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), matching)
-            corners = np.einsum("mkk->mk", cells.facet_nodes[cell, facet])
             self.sides.append((cell, facet, tractions[corners]))
 
-    def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, Indices, Indices]:
-        """Return cells (m,) and facets (m,) of a side whose vertices all touch, and other ones."""
+    def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
+        """Return the facets of a side whose vertices all touch.
+
+        Returns:
+            their cells (m,), numbers (m,) and vertices (m, d), and the vertices of other facets.
+        """
         tags, numbers = self.pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._cells.facets, facets))
         vertices = np.einsum("mkk->mk", self._cells.facet_nodes[cell, facet])
         keep = touching[vertices].all(axis=1)
-        return cell[keep], facet[keep], vertices[~keep]
+        return cell[keep], facet[keep], vertices[keep], vertices[~keep]
 
     def _nodal_tractions(
         self, dual: DualProgram, rows: RowsOfPair, multipliers: Array, bounds: Array

@@ -54,24 +54,23 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
     by_slope = forces.reshape(n, d, d, -1)
     kinds = {integral.integral_type() for integral in a.integrals()}
     rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2) / cells.heights.min(axis=1)
-    for difference, needed in (
-        (
-            forces.sum(axis=2) if kinds == {"cell"} else np.array(np.inf),
-            "a form a of integrals over cells, of the strain alone; this one also has integrals "
-            "over facets, or depends on the displacement itself, as springs do, or on a volume's "
-            "mean",
-        ),
-        (
-            by_slope - np.swapaxes(by_slope, 1, 2),
-            "a form a of the symmetric gradient; this one gives rotations an energy",
-        ),
-        (
-            forces - of_constant,
-            "a stiffness that is constant in each cell. Interpolate the moduli into a space "
-            '("DG", 0)',
-        ),
-    ):
-        cells.require((np.abs(difference.T) <= rounding).all(), needed)
+
+    def vanishes(difference: Array) -> bool:
+        return bool((np.abs(difference.T) <= rounding).all())
+
+    cells.require(
+        kinds == {"cell"} and vanishes(forces.sum(axis=2)),
+        "a form a of integrals over cells, of the strain alone; this one also has integrals over "
+        "facets, or depends on the displacement itself, as springs do, or on a volume's mean",
+    )
+    cells.require(
+        vanishes(by_slope - np.swapaxes(by_slope, 1, 2)),
+        "a form a of the symmetric gradient; this one gives rotations an energy",
+    )
+    cells.require(
+        vanishes(forces - of_constant),
+        'a stiffness that is constant in each cell. Interpolate the moduli into a space ("DG", 0)',
+    )
     positive = (np.linalg.eigvalsh(result) > 0.0).all()
     cells.require(positive, "a stiffness in every cell, and positive moduli")
     return result

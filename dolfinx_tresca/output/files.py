@@ -13,7 +13,7 @@ import sys
 import xml.etree.ElementTree as ET
 import zlib
 from base64 import b64encode
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from numbers import Real
@@ -143,7 +143,8 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
 def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     """Return the grids "volume" and "contact" of a solution on the first rank, none on others.
 
-    With several pairs there is a grid for each, named after the pair. The degree of the volume is
+    With several pairs there is a grid for each, named after the pair, with its number if the name
+    is taken. The degree of the volume is
     high enough for curved cells to be shown as curved, and it has the user's fields, too; surfaces
     are of degree 1. Collective.
     """
@@ -165,17 +166,13 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     grids: dict[str, Grid] = {}
     for number, (name, functions) in enumerate(blocks):
         grid = gather_grid(functions)
-        if grid is not None:
-            grids[_unused_name(name, grids, number)] = grid
+        if grid is None:
+            continue
+        word = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
+        while word in grids:
+            word += f"_{number}"
+        grids[word] = grid
     return grids
-
-
-def _unused_name(name: str, taken: Container[str], number: int) -> str:
-    """Return a pair's name as that of a grid; its number is appended if the name is taken."""
-    result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
-    while result in taken:
-        result += f"_{number}"
-    return result
 
 
 def _of_cells(mesh: Any, name: str, cells: Any, values: npt.NDArray[Any]) -> IntegerFunction:

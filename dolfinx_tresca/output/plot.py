@@ -134,9 +134,8 @@ def compose(
     length, stress = (units.length, units.stress) if units else ("", "")
     panels.draw_bodies(left, volume, contacts, scale, length)
     draw = draw_curve if volume.dim == 2 else panels.draw_surface
-    for panel, contact in zip(
-        right.subfigures(count, 1, squeeze=False)[:, 0], contacts, strict=True
-    ):
+    rows = right.subfigures(count, 1, squeeze=False)[:, 0]
+    for panel, contact in zip(rows, contacts, strict=True):
         draw(panel, contact, length, stress)
     return figure
 

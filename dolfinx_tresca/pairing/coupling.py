@@ -6,6 +6,7 @@ The first functions decide which secondary nodes carry multipliers, and what to 
 from __future__ import annotations
 
 import logging
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -85,6 +86,7 @@ def corners_that_carry(
     (n,) are nodes that also belong to the primary side.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
+    agreed = partial(owners_flags, V, nodes.numbers)
     covered = nodes.reduced(np.add, weights, 0.0)
     whole = nodes.reduced(np.add, weights.mean(axis=1, keepdims=True), 0.0)
     # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
@@ -95,22 +97,22 @@ def corners_that_carry(
         """Return the mask (n,) of the nodes of facets in a mask."""
         return np.asarray(nodes.reduced(np.maximum, facets[:, None], False))
 
-    partial = ~integrals.full & (weights.sum(axis=1) > 0.0)
-    at_rim = corners_of(partial)
-    without = owners_flags(V, nodes, at_rim & (covered < LEAST_MEAN * whole))
+    partly = ~integrals.full & (weights.sum(axis=1) > 0.0)
+    at_rim = corners_of(partly)
+    without = agreed(at_rim & (covered < LEAST_MEAN * whole))
     # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
     # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
     # which one of these nodes has a multiplier
-    near = owners_flags(V, nodes, at_rim & corners_of(integrals.full))
-    near = owners_flags(V, nodes, at_rim & (near | corners_of(partial & near[corners].any(axis=1))))
-    near = corners_of(partial & (near & ~without)[corners].any(axis=1))
+    near = agreed(at_rim & corners_of(integrals.full))
+    near = agreed(at_rim & (near | corners_of(partly & near[corners].any(axis=1))))
+    near = corners_of(partly & (near & ~without)[corners].any(axis=1))
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
-    without = owners_flags(V, nodes, (covered > 0.0) & without & single)
+    without = agreed((covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
     largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
     without[corners[no_carrier[:, None] & largest]] = False
-    return np.asarray(~owners_flags(V, nodes, without)[corners])
+    return np.asarray(~agreed(without)[corners])
 
 
 def nodes_with_multipliers(

@@ -343,16 +343,8 @@ class SurfaceNodes:
         points = facets.points[:, :corners].reshape(-1, 3)[corner]
         free = facets.free.reshape(-1, facets.free.shape[2])[corner]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
-        return cls(
-            facets,
-            numbers,
-            points,
-            weights,
-            free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free),
-            free,
-            position,
-            has_no_normal,
-        )
+        normals = free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free)
+        return cls(facets, numbers, points, weights, normals, free, position, has_no_normal)
 
     def reduced(self, ufunc: np.ufunc, values: Any, initial: Any, facets: Any = slice(None)) -> Any:
         """Return sums, or other reductions, at nodes of values (facets, corners, ...) at corners.

@@ -167,9 +167,6 @@ class MortarIntegrals(FacetIntegrals):
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         arrays = zip(*self._overlaps, strict=True)
         self.pairs, self.partner, self.opposite = map(np.concatenate, arrays)
-        # the integrals outlive what they were computed with
-        del self._overlaps, self._pieces, self._partners, self._visibility
-        del self._surface, self._partner_surface
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that face each other and may meet.
@@ -224,13 +221,9 @@ class MortarIntegrals(FacetIntegrals):
         to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
 
         # weights of points that are seen in either role: not hidden, near, and turned to each other
-        hidden = self._visibility.hidden(
-            mine[pair],
-            simplices.mean(axis=1),
-            start.reshape(-1, count) @ self._weights,
-            end.reshape(-1, count) @ self._weights,
-            partners[pair],
-        )
+        centres = simplices.mean(axis=1)
+        low, high = (side.reshape(-1, count) @ self._weights for side in (start, end))
+        hidden = self._visibility.hidden(mine[pair], centres, low, high, partners[pair])
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
         weight = weights_of_nearest(mine, pair, simplices, size, places, apart, weight, self._area)
         weight = weight * surface.may_touch(

@@ -95,7 +95,7 @@ def _pair(
             if order is not None:
                 shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
         if order is not None:
-            shared = owners_flags(V, nodes, shared)
+            shared = owners_flags(V, nodes.numbers, shared)
         carries = corners_that_carry(V, nodes, integrals, shared)
     group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved)
     if pair.pairing == "nodes" and primary is not None and not moved:

@@ -20,13 +20,7 @@ from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross, dots
 from dolfinx_tresca._base.parallel import exchange, gather_rows
-from dolfinx_tresca.pairing.facets import (
-    FACET_ARRAYS,
-    FACING_COSINE,
-    Facets,
-    SurfaceNodes,
-    frames_along,
-)
+from dolfinx_tresca.pairing.facets import FACET_ARRAYS, FACING_COSINE, Facets, frames_along
 
 #: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
 #: times as many, and of points and what may hide them 50 times as many.
@@ -47,12 +41,6 @@ def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
     counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
     together = np.fromiter(chain.from_iterable(lists), dtype=np.intp, count=counts.sum())
     return np.repeat(np.arange(len(lists)), counts), together
-
-
-def blocks(count: int) -> Iterator[slice]:
-    """Yield slices of 0, ..., count - 1 with at most `AT_ONCE` members each."""
-    for start in range(0, count, AT_ONCE):
-        yield slice(start, min(start + AT_ONCE, count))
 
 
 def line_intervals(
@@ -114,16 +102,10 @@ class Pieces:
         along = points[:, facets.dim] - points[:, 0]
         across = points[:, -1] - points[:, 1] if facets.dim == 2 else np.array([0.0, 0.0, 1.0])
         vectors = cross(along, across) / facets.dim
-        areas = np.linalg.norm(vectors, axis=1)
-        return cls(
-            facet,
-            nodes,
-            points,
-            centres,
-            np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
-            np.asarray(vectors / (facets.outward[facet] * areas)[:, None]),
-            np.asarray(areas),
-        )
+        areas: Array = np.linalg.norm(vectors, axis=1)
+        normals: Array = vectors / (facets.outward[facet] * areas)[:, None]
+        radii = np.linalg.norm(points - centres[:, None], axis=2).max(axis=1)
+        return cls(facet, nodes, points, centres, radii, normals, areas)
 
     @cached_property
     def frames(self) -> Array:
@@ -193,11 +175,10 @@ class Pieces:
         The normals of both are opposed. All pairs of a piece are in one block; `limit` (pieces,) is
         the search distance [length].
         """
-        for block in blocks(len(chosen)):
-            own = chosen[block]
-            line, partner = partners.on_normals(
-                self.centres[own], self.normals[own], self.radii[own], limit[own]
-            )
+        for start in range(0, len(chosen), AT_ONCE):
+            own = chosen[start : start + AT_ONCE]
+            balls = self.centres[own], self.normals[own], self.radii[own], limit[own]
+            line, partner = partners.on_normals(*balls)
             piece = own[line]
             opposed = dots(self.normals[piece], partners.normals[partner]) < -FACING_COSINE
             yield piece[opposed], partner[opposed]
@@ -242,10 +223,9 @@ def owns(V: Any, nodes: GlobalNumbers) -> Mask:
     return np.asarray((nodes >= low) & (nodes < high))
 
 
-def owners_flags(V: Any, nodes: SurfaceNodes, flags: Mask) -> Mask:
+def owners_flags(V: Any, nodes: GlobalNumbers, flags: Mask) -> Mask:
     """Return for each node its owner's flag (n,); the owner has all facets at it. Collective."""
-    flagged = nodes.numbers[flags & owns(V, nodes.numbers)]
-    return np.isin(nodes.numbers, gather_rows(V.mesh.comm, flagged))
+    return np.isin(nodes, gather_rows(V.mesh.comm, nodes[flags & owns(V, nodes)]))
 
 
 def at_own_nodes(V: Any, facets: Facets) -> Indices:
@@ -292,7 +272,8 @@ def near_lines(
     lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
     lines, source = exchange(comm, lines, ranks)
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
-    for block in blocks(len(lines)):
+    for start in range(0, len(lines), AT_ONCE):
+        block = slice(start, start + AT_ONCE)
         line, piece = pieces.on_normals(
             lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
         )

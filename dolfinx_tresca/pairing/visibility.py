@@ -93,9 +93,8 @@ class Visibility:
             return result
         reach = np.maximum(np.abs(start), np.abs(end))[apart]
         for own in (True, False):
-            for crossing, facet, height, outward in self._crossings(
-                own, piece[apart], places[apart], reach
-            ):
+            crossings = self._crossings(own, piece[apart], places[apart], reach)
+            for crossing, facet, height, outward in crossings:
                 point = apart[crossing]
                 gap = end[point] > start[point]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet

@@ -177,15 +177,12 @@ class GmshGeometry:
 def curved_groups(model: Any) -> dict[int, tuple[int, ...]]:
     """Return tag -> surfaces of each group of surfaces with a curved one (in 2D: of curves)."""
     dim = model.getDimension() - 1
-    groups = {
-        tag: tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
-        for _, tag in model.getPhysicalGroups(dim)
-    }
-    return {
-        tag: entities
-        for tag, entities in groups.items()
-        if not all(_is_flat(model, dim, entity) for entity in entities)
-    }
+    groups = {}
+    for _, tag in model.getPhysicalGroups(dim):
+        entities = tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
+        if not all(_is_flat(model, dim, entity) for entity in entities):
+            groups[tag] = entities
+    return groups
 
 
 #: A geometry of Gmsh, or tag of facets -> projection onto the surface that the facets approximate.

@@ -306,12 +306,10 @@ class RigidObstacle:
             raise InputError(
                 f"free must be a list of {', '.join(FREEDOMS[3])}, found {shown(free)}."
             )
-        given = GivenForces(
-            _present(_coordinates, "force", force),
-            _present(_axial_vector, "moment", moment),
-            names,
-            self.centre if about is None else _coordinates("about", about),
-        )
+        present_force = _present(_coordinates, "force", force)
+        present_moment = _present(_axial_vector, "moment", moment)
+        point = self.centre if about is None else _coordinates("about", about)
+        given = GivenForces(present_force, present_moment, names, point)
         self.given_forces = None if names == () else given
 
     def distance(self, points: Array) -> Array:
@@ -391,11 +389,8 @@ class RigidPlane(RigidObstacle):
             normals = np.broadcast_to(n()[:, None], x.shape)
             return n() @ (x - p()[:, None]), normals
 
-        super().__init__(
-            distance,
-            f"a rigid plane through {numbers_text(p())} with normal {numbers_text(n())}",
-            _constants_of(point, normal),
-        )
+        name = f"a rigid plane through {numbers_text(p())} with normal {numbers_text(n())}"
+        super().__init__(distance, name, _constants_of(point, normal))
         self.centre = p()
 
 
@@ -479,12 +474,9 @@ class RigidCylinder(RigidObstacle):
             offset, along = x - p()[:, None], a()
             return _spherical_distance(offset - np.outer(along, along @ offset), r(), hollow)
 
-        super().__init__(
-            distance,
-            f"a rigid {'hollow ' if hollow else ''}cylinder through {numbers_text(p())} "
-            f"along {numbers_text(a())} of radius {r():g}",
-            _constants_of(point, axis, radius),
-        )
+        place = f"through {numbers_text(p())} along {numbers_text(a())} of radius {r():g}"
+        name = f"a rigid {'hollow ' if hollow else ''}cylinder {place}"
+        super().__init__(distance, name, _constants_of(point, axis, radius))
         self.centre = p()
 
 
