@@ -192,9 +192,8 @@ class Bodies:
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
         """Return by how much tractions and a displacement miss the law of contact. Collective.
 
-        Returns:
-            (2, n) integrals over the facets of cells [energy]: of pressure times gap, and of what
-            the work of friction lacks of its bound.
+        The (2, n) integrals over the facets of cells [energy] are those of pressure times gap, and
+        of what the work of friction lacks of its bound.
         """
         result = np.zeros((2, len(self.unknown)))
         largest = reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX)
@@ -301,8 +300,7 @@ class Functional:
     """A goal that is linear in the displacement v, as J(v) or, for a force, a(w, v) - L(w).
 
     Attributes:
-        form: the linear form: J, or a(w, v).
-        derivative: the form's vector.
+        form: the linear form: J, or a(w, v); `derivative` is its vector.
         w: the displacement that the form causes as a load, without contact; exact for a force.
         is_force: whether the goal is a force, the work of tractions on w.
         constant: L(w).

@@ -29,10 +29,8 @@ class Stars:
     def __init__(self, cells: MeshCells, stiffness: Array, free: Mask) -> None:
         """Factor the equations of all stars. Collective.
 
-        Args:
-            cells: the cells.
-            stiffness: (n, d + 1, d * d, d * d) energies of tractions on each facet.
-            free: (n, d + 1, d) whether the traction on a facet is unknown along an axis.
+        Tractions on facets have energies (n, d + 1, d * d, d * d), and are `free` (n, d + 1, d)
+        along axes.
         """
         d, sides, comm = cells.d, opposite(cells.d), cells.V.mesh.comm
         self._cells, (n, corners) = cells, cells.facets.shape

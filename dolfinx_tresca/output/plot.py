@@ -88,6 +88,11 @@ def plot(
     Returns:
         if `path` is None, the picture on the first rank, a `PIL.Image.Image`: notebooks show it,
         and its method `show()` opens it elsewhere; otherwise None.
+
+    Raises:
+        InputError: the suffix is unknown, scale is no number of 0 or more, or the file cannot be
+            written.
+        ContactError: there is no pyvista or matplotlib, or VTK would need a display.
     """
     comm = u.function_space.mesh.comm
     name = comm.bcast(None if path is None else str(path), root=ROOT)

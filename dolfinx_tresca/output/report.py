@@ -62,8 +62,7 @@ class ProblemSummary:
     """Sizes of a problem, over all ranks.
 
     Attributes:
-        dofs: degrees of freedom of the displacement.
-        free_dofs: n, degrees of freedom of the displacement that are not prescribed.
+        dofs: degrees of freedom of the displacement, and `free_dofs` those that are not prescribed.
         contact_nodes: m, nodes that carry multipliers.
         size_rows: the rows that do not belong to pairs.
         pairs: for each pair, as text: its name with its kind and number of nodes, and the range of

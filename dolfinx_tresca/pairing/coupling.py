@@ -202,17 +202,9 @@ def couple(
     displacement is prescribed have no rows; for exceptions see `PairOperators`. The result has the
     nodes of all pairs of the group. Collective.
 
-    Args:
-        V: the space of the displacement.
-        undeformed: the undeformed surfaces, with the pairs and their laws.
-        nodes: nodes of the secondary side.
-        primary: facets of the primary side; None for an obstacle.
-        integrals: the integrals over the facets.
-        carries: (facets, corners) whether a corner has a multiplier; the part of other corners is
-            distributed over the facet's corners that have.
-        shared: (n,) whether a node belongs to both sides, and so has no multiplier.
-        moved: whether the surfaces are displaced: penetration is then an error of the displacement,
-            and no close fit is warned of.
+    `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
+    and `shared` (n,) are as in `corners_that_carry`. If the surfaces have moved, penetration is an
+    error of the displacement, and no close fit is warned of.
     """
     group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
     pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
@@ -391,13 +383,10 @@ def _normals_and_room(
     largest weight. Patches that face different places, such as the head of a bolt and its shank in
     a hole with clearance, are independent of each other.
 
-    Args:
-        numbers: (n,) the node of each patch, ascending, and of one node by ascending weight.
-        means: (n, nodes of V) sparse matrix of the means over the primary side; empty for an
-            obstacle, which is the same place for all patches.
-        normals: (n, d) unit normals.
-        free: (n, d) whether friction may act along a coordinate axis.
-        moves: (n,) whether the displacement is not prescribed along the normal.
+    Patches have the `numbers` (n,) of their nodes, ascending, and of one node by weight; the sparse
+    means (n, nodes of V) over the primary side, empty for an obstacle; normals (n, d); axes (n, d)
+    along which friction may act; and (n,) whether the displacement is not prescribed along the
+    normal.
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])

@@ -115,15 +115,9 @@ class MortarIntegrals(FacetIntegrals):
         facets of a surface that touches itself are first paired with facets nearby. Only those that
         nearby facets do not fully cover are paired with all facets within the search distance.
 
-        Args:
-            secondary: the secondary side.
-            primary: the primary side.
-            selected: (m,) the secondary facets to integrate over; all other integrals are zero.
-            limit: search distance, beyond which no points are paired [length].
-            may_meet: function that tells of (p,) secondary and (p,) primary facets whether both may
-                be paired, (p,).
-            order: rule that decides which facet is secondary on a surface that touches itself,
-                which is then both sides; None for two surfaces.
+        Only the `selected` (m,) secondary facets are integrated over. Points beyond `limit`
+        [length], and facets (p,) for which `may_meet` is false, are not paired. On a surface that
+        touches itself, `order` decides which facet is secondary.
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order

@@ -129,14 +129,9 @@ class Pieces:
         distance to the nearest of them allows: the work is proportional to the number of lines
         times the logarithm of this distance.
 
-        Args:
-            centres: (n, 3) centres of the moving balls [length].
-            normals: (n, 3) unit normals of the moving balls.
-            radii: (n,) radii of the moving balls [length].
-            limit: (n,) search distance both ways [length]; pieces slightly beyond may be met, too.
-
-        Returns:
-            the moving ball (m,) of each pair, ascending, and the piece (m,) that it meets.
+        The moving balls have centres (n, 3), unit normals (n, 3), radii (n,) and search distances
+        (n,) both ways [length]; pieces slightly beyond may be met, too. Return the moving ball (m,)
+        of each pair, ascending, and the piece (m,) that it meets.
         """
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:

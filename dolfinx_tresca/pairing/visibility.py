@@ -116,12 +116,9 @@ class Visibility:
 
         Facets that hide nothing, and in general those beyond reach, are left out (`_may_hide`). For
         `piece` (n,) and `places` (n, d) see `hidden`; `reach` (n,) is the largest distance from the
-        plane at which a crossing matters [length].
-
-        Yields:
-            the normals (m,) that cross a facet; the facets (m,), as pieces of their side; the
-            heights (m,) of the crossings over the planes [length]; and whether both normals point
-            to the same side of the plane (m,).
+        plane at which a crossing matters [length]. Yield the normals (m,) that cross a facet; the
+        facets (m,), as pieces of their side; the heights (m,) of the crossings over the planes
+        [length]; and whether both normals point to the same side of the plane (m,).
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
@@ -210,12 +207,9 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
     Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
-    the order of the corners. The corners (n, a, d) and (n, b, d) are those of segments (d = 1) or
-    convex polygons (d = 2), in either order.
-
-    Returns:
-        the simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
-        ascending.
+    the order of the corners: (n, a, d) and (n, b, d) of segments (d = 1) or convex polygons (d =
+    2). Return the simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their
+    pair, ascending.
     """
     low = np.maximum(own.min(axis=1), partners.min(axis=1))
     high = np.minimum(own.max(axis=1), partners.max(axis=1))
@@ -427,10 +421,8 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
     is opposite to itself, such as the tip of a crack, has no jump, and is returned. Valid for nodes
     whose facets are all on this rank.
 
-    Args:
-        nodes: the nodes of the surface.
-        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
-        opposite: (q, 2) pairs of facets that see each other with exchanged roles.
+    Facets overlap as pairs (p, 2) of a secondary and a primary one, `opposite` (q, 2) with
+    exchanged roles.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
