@@ -140,17 +140,9 @@ def loads(
             values -= linear @ projection
             load += projection  # a view of the loading
             quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
-            oscillation += factors[:, number] * largest_work(quadratic, farther, ratio)
+            # the factor R_F of a traction that is orthogonal to linear functions is too large for
+            # its quadratic part, whose factor is Q_F = R_F cos(theta_F): docs/theory/guaranteed.md
+            angle = np.arccos(ratio) - np.arctan2(farther, quadratic)
+            work = np.hypot(quadratic, farther) * np.cos(np.maximum(angle, 0.0))
+            oscillation += factors[:, number] * work
     return loading, oscillation
-
-
-def largest_work(quadratic: Array, farther: Array, ratio: float) -> Array:
-    """Return |t - t_h| cos(theta_F) (n,) of tractions on facets (docs/theory/guaranteed.md).
-
-    The factor R_F of a traction that is orthogonal to linear functions is too large for its
-    quadratic part, whose factor is Q_F: R_F cos(theta_F) is Q_F for quadratic tractions. These
-    parts have norms (n,), the tractions distances (n,) from quadratic functions, and the ratio is
-    Q_F / R_F, or 1 for loads in cells.
-    """
-    angle = np.arccos(ratio) - np.arctan2(farther, quadratic)
-    return np.asarray(np.hypot(quadratic, farther) * np.cos(np.maximum(angle, 0.0)))

@@ -112,7 +112,8 @@ class SmoothSurface:
         smooth = self._smoothness(nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        cosines, (start, end) = self._cosines(), self._slopes()
+        cosines = dots(self.corner_normals, self._facet_normals[:, None])
+        start, end = self._slopes()
         turns_at_kinks = turned_angles(cosines)
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle.
@@ -131,7 +132,7 @@ class SmoothSurface:
             normals = facets.exact_normals_at(facet, x).reshape(-1, facets.corners, 3)
             self.corner_normals[self._exact] = normals
         self.corner_normals = unit(self.corner_normals)
-        self.turns = turned_angles(self._cosines())
+        self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         turns_at_kinks[self._exact] = self.turns[self._exact]
         self.across = _normals_across_edges(nodes)
         at_edge = self.across.any(axis=(1, 2))
@@ -145,10 +146,6 @@ class SmoothSurface:
         at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
-
-    def _cosines(self) -> Array:
-        """Return the cosines (n, corners) between the normals at corners and of the facet."""
-        return dots(self.corner_normals, self._facet_normals[:, None])
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
