@@ -183,10 +183,7 @@ def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
 
 
 def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
-    """Return tag -> the face, for all tags of outer facets of one body. Collective.
-
-    Tags of several bodies are logged.
-    """
+    """Return tag -> face, for tags of outer facets of one body; log tags of several. Collective."""
     mesh, label = V.mesh, label_bodies(V)
     comm, dim, x = mesh.comm, facet_tags.dim, V.tabulate_dof_coordinates()
     mesh.topology.create_connectivity(dim, dim + 1)

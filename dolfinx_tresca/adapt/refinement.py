@@ -92,13 +92,36 @@ def refine(
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
     marked = largest_part(comm, np.square(errors / largest), fraction)
-    return _distributed(tagged_mesh, bisected(mesh, marked))
+    bisection = bisected(mesh, marked)
+    facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
+    with ExitStack() as session:
+        with errors_on_all_ranks(comm):
+            surfaces = session.enter_context(open_geometry(tagged_mesh.geometry or {}))
+        points = snapped(bisection, facets, facet_values, surfaces)
+
+    dim, index_map = mesh.topology.dim, bisection.mesh.geometry.index_map()
+    numbers = np.asarray(index_map.local_to_global(np.arange(len(points), dtype=np.int32)))
+    fine = compat.create_mesh(
+        comm,
+        numbers[bisection.nodes],
+        points[: index_map.size_local, :dim],
+        ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
+        ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
+    )
+    cell_tags = tagged_mesh.cell_tags
+    if cell_tags is not None:
+        cells, cell_values = bisection.inherited(cell_tags)
+        cell_tags = _with_names(fine, cell_tags, numbers[cells], cell_values)
+    facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
+    if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
+        facet_tags.cell_tags = cell_tags
+    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), tagged_mesh.geometry)
 
 
 class Bisection(NamedTuple):
     """The cells into which bisection cuts the cells of a mesh, on the ranks of these.
 
-    Cells have the dimension d. Their facets are in the order of the opposite corners.
+    Cells have the dimension d, and their facets the order of the opposite corners.
 
     Attributes:
         mesh: the mesh of the new cells.
@@ -116,7 +139,7 @@ class Bisection(NamedTuple):
     def inherited(self, tags: Any) -> tuple[Indices, LocalNumbers]:
         """Return nodes (m, k) and tags (m,) of the new cells, or facets, in tagged old ones.
 
-        A facet between two cells occurs twice. Not collective.
+        A facet between two cells occurs twice.
         """
         corners: Mask
         if tags.dim == self.mesh.topology.dim:
@@ -132,13 +155,12 @@ class Bisection(NamedTuple):
 
 
 def bisected(mesh: Any, marked: Mask) -> Bisection:
-    """Bisect all edges of marked cells, and further edges as needed. Collective.
+    """Bisect all edges of marked cells (owned cells,), and further edges as needed. Collective.
 
     DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based on
     the skeleton): angles stay away from zero after any number of bisections. Among edges of equal
-    length, DOLFINx cuts the first one in the numbering of a rank, which depends on the partition:
-    the mesh of simplices is stretched meanwhile, in the same way for any partition. `marked` (owned
-    cells,) tells which cells are marked.
+    length, it cuts the first one in the numbering of a rank, which depends on the partition: the
+    mesh of simplices is stretched meanwhile, in the same way for any partition.
     """
     dim = mesh.topology.dim
     mesh.topology.create_entities(1)
@@ -172,20 +194,11 @@ def bisected(mesh: Any, marked: Mask) -> Bisection:
 def snapped(
     bisection: Bisection, facets: Indices, tags: LocalNumbers, surfaces: Mapping[int, ExactSurface]
 ) -> Array:
-    """Return the nodes (n, 3), with nodes of facets moved to their surfaces. Collective.
+    """Return the nodes (n, 3), with nodes of facets (m, d) moved to their surfaces. Collective.
 
-    The nodes of a cell that would become flat or inverted do not move. A warning is logged, and the
-    next refinement tries again, with smaller cells.
-
-    Args:
-        bisection: the new cells.
-        facets: (m, d) nodes of tagged facets.
-        tags: (m,) tags of the facets.
-        surfaces: tag -> the exact surface of the facets.
-
-    Raises:
-        InputError: a projection fails, or does not return one finite point for each node; or no
-            facet has the tag of a projection.
+    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. The nodes of a cell that
+    would become flat or inverted do not move: a warning is logged, and the next refinement tries
+    again, with smaller cells.
     """
     mesh, cells = bisection.mesh, bisection.nodes
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
@@ -226,42 +239,12 @@ def snapped(
     return np.asarray(points)
 
 
-def _distributed(tagged_mesh: TaggedMesh, bisection: Bisection) -> TaggedMesh:
-    """Return the mesh of bisected cells, with tags and on curved surfaces. Collective."""
-    mesh, geometry = tagged_mesh.mesh, tagged_mesh.geometry
-    comm, dim = mesh.comm, mesh.topology.dim
-    facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
-    with ExitStack() as session:
-        with errors_on_all_ranks(comm):
-            surfaces = session.enter_context(open_geometry(geometry or {}))
-        points = snapped(bisection, facets, facet_values, surfaces)
-
-    index_map = bisection.mesh.geometry.index_map()
-    numbers = np.asarray(index_map.local_to_global(np.arange(len(points), dtype=np.int32)))
-    fine = compat.create_mesh(
-        comm,
-        numbers[bisection.nodes],
-        points[: index_map.size_local, :dim],
-        ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()),
-        ghosts=comm.allreduce(mesh.topology.index_map(dim).num_ghosts, op=MPI.MAX) > 0,
-    )
-    cell_tags = tagged_mesh.cell_tags
-    if cell_tags is not None:
-        cells, cell_values = bisection.inherited(cell_tags)
-        cell_tags = _with_names(fine, cell_tags, numbers[cells], cell_values)
-    facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
-    if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
-        facet_tags.cell_tags = cell_tags
-    return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), geometry)
-
-
 def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
     This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
-    except that cells whose errors nearly equal the least marked error are marked, too (`NEARLY`).
-    Every rank gets the errors of all cells, 8 bytes each, and marks those of its own, (n,). No
-    squared error is negative, and not all are zero.
+    but cells whose errors nearly equal the least marked error are marked, too (`NEARLY`). Every
+    rank gets the errors of all cells, 8 bytes each, and marks those of its own, (n,).
     """
     above = 1.0 + 1e-9  # beyond a squared error by more than rounding
     descending = np.sort(np.concatenate(comm.allgather(squares)))[::-1]
@@ -274,14 +257,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
 
 
 def check_tagged_mesh(tagged_mesh: Any) -> None:
-    """Check that cells can be bisected, and that the tags belong to cells and to facets.
-
-    Not collective.
-
-    Raises:
-        InputError: the argument is not a mesh with tags, the cells cannot be bisected, its geometry
-            is none, or tags are of entities of another dimension.
-    """
+    """Check that cells can be bisected, and that the tags belong to cells and to facets."""
     example = "read_gmsh(...) or TaggedMesh(mesh, cell_tags, facet_tags, names)"
     check_type("tagged_mesh", tagged_mesh, TaggedMesh, f"a TaggedMesh, such as {example}")
     mesh = tagged_mesh.mesh
@@ -309,12 +285,7 @@ def check_tagged_mesh(tagged_mesh: Any) -> None:
 
 
 def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
-    """Check `cell_errors`, and return the errors (n,) of this rank's own cells. Not collective.
-
-    Raises:
-        InputError: the number of errors is wrong, values are negative or not finite, or a Function
-            is on another mesh or not of degree 0.
-    """
+    """Check `cell_errors`, and return the errors (n,) of this rank's own cells."""
     count = mesh.topology.index_map(mesh.topology.dim).size_local
     if isinstance(cell_errors, fem.Function):
         V = cell_errors.function_space
@@ -343,8 +314,8 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
 def _with_names(mesh: Any, old: Any, entities: GlobalNumbers, values: LocalNumbers) -> Any:
     """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.
 
-    The entities (n, nodes) with the values (n,) are on any rank, and have the numbers of nodes that
-    were passed to `create_mesh`.
+    The entities (n, nodes) and their values (n,) are on any rank, with the numbers of nodes that
+    `create_mesh` got.
     """
     mesh.topology.create_connectivity(old.dim, 0)
     mesh.topology.create_connectivity(old.dim, mesh.topology.dim)

@@ -162,8 +162,8 @@ def judged(
     """Estimate the error of the mesh of a solution; this may solve again. Collective.
 
     The problem is solved to the default accuracy; the result has a solution that is accurate enough
-    for the goal, or for the energy error if there is none. `start` is when the work on the mesh
-    began, as of `time.perf_counter`.
+    for the goal, or for the energy error. `start` is when work on the mesh began
+    (`time.perf_counter`).
     """
     products, goal_error = solution.products, None
     if goal is not None and solution.status is ContactStatus.CONVERGED:

@@ -82,7 +82,7 @@ def _bent_primary(
 
     Displacements are arrays (nodes, dim of space) [length]; `straight` is `straightened` u.
     """
-    sides = operators.undeformed.sides.values()
+    sides = operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
         return straight
     if pair.touches_itself:  # the tags do not tell primary from secondary nodes

@@ -105,11 +105,7 @@ class Bodies:
     """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium."""
 
     def __init__(self, linear: LinearSystem, dual: DualProgram) -> None:
-        """Check what the bound covers, and factor the equations of all stars. Collective.
-
-        Raises:
-            InputError: the bound does not cover the problem.
-        """
+        """Check what the bound covers, and factor the equations of all stars. Collective."""
         self.linear, self.V, self.comm = linear, linear.V, linear.comm
         self.cells = cells = MeshCells.from_space(self.V)
         cells.require(
@@ -152,20 +148,11 @@ class Bodies:
     def candidate(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
     ) -> Candidate:
-        """Return admissible tractions, a stress and a displacement. Collective.
+        """Return what bounds the exact solution of the load L, with one solve with K. Collective.
 
-        The tractions on the boundary are the given ones; others come from the displacement for
-        these, which takes one solve with K, and are corrected star by star.
-
-        Args:
-            dual: the dual problem that was solved.
-            multipliers: (size,) multipliers.
-            u: the displacement.
-            L: the load that the stress is to balance.
-
-        Raises:
-            InputError: the bound does not cover the contact pairs, or the load.
-            ContactError: the displacement is not in equilibrium.
+        The tractions on the boundary are given, or follow from the multipliers (size,) of the dual
+        problem that was solved; others come from the displacement for these, and are corrected star
+        by star.
         """
         cells, d = self.cells, self.cells.d
         given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
@@ -205,12 +192,8 @@ class Bodies:
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
         """Return by how much tractions and a displacement miss the law of contact. Collective.
 
-        Returns:
-            (2, n) integrals over the facets of cells [energy]: of pressure times gap, and of what
-            the work of friction lacks of its bound.
-
-        Raises:
-            InputError: prescribed displacements penetrate.
+        The (2, n) integrals over the facets of cells [energy] are those of pressure times gap, and
+        of what the work of friction lacks of its bound.
         """
         result = np.zeros((2, len(self.unknown)))
         largest = reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX)
@@ -228,9 +211,8 @@ class Bodies:
     def shorten(self, difference: Array, gain: float) -> None:
         """Add tractions without resultants that make a stress smaller, in place. Collective.
 
-        Args:
-            difference: loading of the stress.
-            gain: part of its norm by which a step must lower it, or the steps end.
+        `difference` is its loading; the steps end if one lowers its norm by less than the part
+        `gain`.
         """
         descent = -self.energies.derivative(difference)
         square = -float(reduce_array(self.comm, (difference * descent).sum()))
@@ -255,15 +237,7 @@ class Bodies:
     ) -> GuaranteedError:
         """Return a guaranteed bound of the error of a solution, with one solve with K. Collective.
 
-        Args:
-            dual: the dual problem that was solved.
-            multipliers: (size,) multipliers of the solution.
-            u: the displacement of the solution.
-            gain: part of the bound by which a step must lower it, or the steps end.
-
-        Raises:
-            InputError: the bound does not cover the problem.
-            ContactError: the displacement is not in equilibrium.
+        The solution of the dual problem has multipliers (size,) and the displacement u.
         """
         candidate = self.candidate(dual, multipliers, u, self.linear.ufl_forms[1])
         of_u, of_v = self.loading_of(u), self.loading_of(candidate.v)
@@ -326,8 +300,7 @@ class Functional:
     """A goal that is linear in the displacement v, as J(v) or, for a force, a(w, v) - L(w).
 
     Attributes:
-        form: the linear form: J, or a(w, v).
-        derivative: the form's vector.
+        form: the linear form: J, or a(w, v); `derivative` is its vector.
         w: the displacement that the form causes as a load, without contact; exact for a force.
         is_force: whether the goal is a force, the work of tractions on w.
         constant: L(w).
@@ -341,12 +314,7 @@ class Functional:
 
     @classmethod
     def of_goal(cls, goal: Any, bodies: Bodies, dual: DualProgram) -> Functional:
-        """Check a goal. Collective.
-
-        Raises:
-            InputError: the goal is neither a force nor a linear form, or slip bounds depend on
-                pressures.
-        """
+        """Check a goal. Collective."""
         bodies.cells.require(
             dual.admissible.has_given_bounds,
             "slip bounds that do not depend on the pressure if it is of a goal",
@@ -397,18 +365,8 @@ def guaranteed_goal(
     of the law of contact; v is taken from the load L - t J (docs/theory/guaranteed.md). With a
     small t the errors count much, with a large one contact changes, and G is large.
 
-    Args:
-        functional: the goal.
-        bodies: the bodies.
-        dual: the dual problem that was solved.
-        u: the displacement.
-        candidate_at: function that returns the candidate with the load L + t J; it is collective.
-            If the goal is a force, its `loading` balances L alone.
-        gain: part of a distance by which a step must lower it, or the steps end.
-
-    Raises:
-        InputError: the bound does not cover the problem.
-        ContactError: a displacement is not in equilibrium.
+    The collective function `candidate_at` returns the candidate with the load L + t J; if the goal
+    is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
     """
     of_w = bodies.loading_of(functional.w) if functional.is_force else 0.0
 

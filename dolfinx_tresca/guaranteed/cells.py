@@ -43,13 +43,8 @@ QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 def mean_products(corners: int, factors: int) -> Array:
     """Return the means over a simplex of products of barycentric coordinates.
 
-    Args:
-        corners: number of vertices of the simplex.
-        factors: number of factors of each product.
-
-    Returns:
-        an array with `factors` axes of length `corners`; its entry (i, j, ...) is the mean of
-        lambda_i lambda_j ... over the simplex.
+    The result has `factors` axes of length `corners`; its entry (i, j, ...) is the mean of lambda_i
+    lambda_j ...
     """
     result = np.empty((corners,) * factors)
     scale = factorial(corners - 1) / factorial(corners - 1 + factors)
@@ -68,10 +63,7 @@ def bernstein(values: Array) -> Array:
     """Return Bernstein's coefficients C (..., k, k, c) of quadratic functions on simplices.
 
     A function is the sum of C_ij lambda_i lambda_j, and between its least and largest coefficient.
-
-    Args:
-        values: (..., k, k, c) values; the mean of (i, j) and (j, i) is that in the middle between
-            the vertices i and j.
+    The mean of values (i, j) and (j, i) is that in the middle between the vertices i and j.
     """
     corners = np.einsum("...iic->...ic", values)
     return np.asarray(values + np.swapaxes(values, -3, -2) - pair_means(corners))
@@ -81,11 +73,10 @@ def bernstein(values: Array) -> Array:
 def lagrange(corners: int) -> tuple[Array, Array, Array]:
     """Return Lagrange's basis of degree 2 on a simplex, with a node for each two vertices i <= j.
 
-    Nodes are in the order of `triu_indices`, in the middle between both vertices.
-
     Returns:
-        the barycentric coordinates (k, corners) of the nodes, `bernstein`'s coefficients (corners,
-        corners, k) of the basis, and the means (k, k) of products of two basis functions.
+        the barycentric coordinates (k, corners) of the nodes, in the order of `triu_indices`;
+        `bernstein`'s coefficients (corners, corners, k) of the basis; and the means (k, k) of
+        products of two basis functions.
     """
     i, j = np.triu_indices(corners)
     values = np.zeros((corners, corners, len(i)))
@@ -113,11 +104,7 @@ def rigid_motions(arms: Array) -> Array:
 
 @dataclass(frozen=True)
 class Simplices:
-    """Simplices with d + 1 vertices.
-
-    Attributes:
-        points: (n, d + 1, d) the vertices [length].
-    """
+    """Simplices with d + 1 vertices at `points` (n, d + 1, d) [length]."""
 
     points: Array
 
@@ -167,7 +154,7 @@ class Simplices:
             yield vertices, self.areas[:, j], loading[:, j, : self.d]
 
     def resultants(self, loading: Array) -> Array:
-        """Return the forces (n, d + 1, d) at the vertices that do the work of a loading.
+        """Return forces (n, d + 1, d) at vertices that do the work of a loading there.
 
         Their work on a linear displacement is that of its values at the vertices.
         """
@@ -186,8 +173,7 @@ class Simplices:
     def stretches(self) -> Array:
         """(n,) s^2 / t of the largest and least singular values s, t of affine maps [length].
 
-        The maps are those from the simplex of `POINCARE`, with the order of the vertices whose path
-        is the shortest.
+        The maps are those from the simplex of `POINCARE`, along the shortest path of the vertices.
         """
         squares = np.square(self.points[:, :, None] - self.points[:, None]).sum(axis=3)
         orders = np.array(list(permutations(range(self.d + 1))))
@@ -242,11 +228,11 @@ def stress_products(d: int) -> Array:
     """Return products of stresses of the stress element on the regular simplex of edge length 1.
 
     The simplex is divided by its centroid into d + 1 subcells, as in the element of Johnson and
-    Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the vertices
-    of the simplex, with the centroid in place of vertex i. Here stresses are symmetric, quadratic
-    in each subcell, and have continuous tractions between subcells. For each loading in equilibrium
-    there is such a stress; of all, that of the least norm is taken. It depends linearly on the
-    loading, and reproduces linear stresses.
+    Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the centroid
+    in place of vertex i. Here stresses are symmetric, quadratic in each subcell, and have
+    continuous tractions between subcells. For each loading in equilibrium there is such a stress;
+    of all, that of the least norm is taken. It depends linearly on the loading, and reproduces
+    linear stresses.
 
     Returns:
         (nsym, nsym, m, m) means over the simplex of products of two components of stresses in
@@ -294,13 +280,7 @@ class StressEnergies:
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the matrices of all cells.
-
-        Args:
-            cells: the cells.
-            compliance: (n, nsym, nsym) the inverse of the elasticity tensor in
-                `symmetric_basis`.
-        """
+        """Compute the matrices of all cells; compliances (n, nsym, nsym) as `symmetric_basis`."""
         d = cells.d
         basis, products = symmetric_basis(d), stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
@@ -363,11 +343,7 @@ class MeshCells(Simplices):
 
     @classmethod
     def from_space(cls, V: Any) -> MeshCells:
-        """Sort the vertices of the cells of a space's mesh. Collective.
-
-        Raises:
-            InputError: cells are no simplices, or are curved.
-        """
+        """Sort the vertices of the cells of a space's mesh. Collective."""
         cell = V.mesh.topology.cell_name()
         if cell not in ("triangle", "tetrahedron"):
             raise InputError(
@@ -444,11 +420,9 @@ class MeshCells(Simplices):
         return summed_at_nodes(self.V.dofmap.index_map, np.arange(len(owned)), owned)
 
     def stresses(self, w: Any, stiffness: Array) -> Array:
-        """Return the stresses (n, d + 1, d, d) of a displacement at the vertices.
+        """Return the stresses (n, d + 1, d, d) at vertices of a Function w on V.
 
-        Args:
-            w: a Function on V.
-            stiffness: (n, nsym, nsym) the elasticity tensors in `symmetric_basis`.
+        The elasticity tensors (n, nsym, nsym) are in `symmetric_basis`.
         """
         tensors = symmetric_basis(self.d)
         coefficients = bernstein(w.x.array.reshape(-1, self.d)[self.nodes])
@@ -457,10 +431,6 @@ class MeshCells(Simplices):
         return np.asarray(np.tensordot(strains @ stiffness, tensors, axes=1))
 
     def require(self, holds: Any, needed: str) -> None:
-        """Check what the bound needs on all ranks. Collective.
-
-        Raises:
-            InputError: it does not hold on a rank.
-        """
+        """Check what the bound needs on all ranks. Collective."""
         if not self.V.mesh.comm.allreduce(bool(holds), op=MPI.LAND):
             raise InputError(f"a guaranteed bound needs {needed}.")

@@ -33,7 +33,6 @@ class ContactSurface:
 
     Attributes:
         pair: the contact pair.
-        bonded: whether its surfaces are bonded.
         nodes: (n,) the vertices of this rank that face the primary side, prescribed ones included.
         normal: (d,) the contact normal: of the secondary side, or towards the rigid plane.
         cell: (m,) the cells of the secondary facets.
@@ -52,18 +51,10 @@ class ContactSurface:
         bounds: Array,
         prescribed: Mask,
     ) -> None:
-        """Interpolate the multipliers of a pair between nodes. Collective.
+        """Interpolate multipliers (size,) of a pair between nodes. Collective.
 
-        Args:
-            cells: the cells of this rank.
-            dual: the dual problem.
-            number: the number of the pair.
-            multipliers: (size,) the multipliers.
-            bounds: (nodes of all pairs,) slip bounds [stress].
-            prescribed: (nodes of this rank, d) prescribed degrees of freedom.
-
-        Raises:
-            InputError: the bound does not cover such surfaces, or such friction.
+        There are slip bounds (nodes of all pairs,) [stress], and prescribed degrees of freedom
+        (nodes of this rank, d).
         """
         rows = dual.jump.by_pair[number]
         group = rows.operators.undeformed.group
@@ -100,9 +91,8 @@ class ContactSurface:
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
-        self.cell, self.facet, outside = self._facets_of("secondary", touching)
+        self.cell, self.facet, self._corners, outside = self._facets_of("secondary", touching)
         self._nodes = cells.facet_nodes[self.cell, self.facet]
-        self._corners = np.einsum("mkk->mk", self._nodes)
         normals = cells.normals[self.cell, self.facet]
         if rigid:
             self.normal = -pair.primary.at(np.zeros((1, 3)))[1][0, :d]
@@ -124,25 +114,24 @@ class ContactSurface:
         self.tractions = tractions[self._corners]
         self.sides = [(self.cell, self.facet, self.tractions)]
         if not rigid:
-            cell, facet, _ = self._facets_of("primary", touching)
+            cell, facet, corners, _ = self._facets_of("primary", touching)
             turned = np.vstack([normals, -cells.normals[cell, facet]]) - self.normal
             unpaired = comm.allreduce(len(cell) - len(self.cell))
             cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), matching)
-            corners = np.einsum("mkk->mk", cells.facet_nodes[cell, facet])
             self.sides.append((cell, facet, tractions[corners]))
 
-    def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, Indices, Indices]:
+    def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
         """Return the facets of a side whose vertices all touch.
 
         Returns:
-            their cells (m,), their numbers (m,) in these, and the vertices of the other facets.
+            their cells (m,), numbers (m,) and vertices (m, d), and the vertices of other facets.
         """
         tags, numbers = self.pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._cells.facets, facets))
         vertices = np.einsum("mkk->mk", self._cells.facet_nodes[cell, facet])
         keep = touching[vertices].all(axis=1)
-        return cell[keep], facet[keep], vertices[~keep]
+        return cell[keep], facet[keep], vertices[keep], vertices[~keep]
 
     def _nodal_tractions(
         self, dual: DualProgram, rows: RowsOfPair, multipliers: Array, bounds: Array
@@ -194,9 +183,9 @@ class ContactSurface:
         return values - self._at_nodes(facing.array.reshape(-1, values.shape[1]))
 
     def _carried(self, values: Array) -> Array:
-        """Return values (nodes, d) of `nodes` there, and their opposites at partners. Collective.
+        """Return values (nodes, d) of `nodes`, and opposite ones at partners: transposed jumps.
 
-        This is the transpose of the jump.
+        Collective.
         """
         unknowns, facing = self._opposite.createVecs()
         facing.array = values[self.nodes].ravel()
@@ -215,9 +204,6 @@ class ContactSurface:
         """Move nodes such that nothing penetrates, and bonded surfaces have no jumps. Collective.
 
         Pressed nodes also close their gaps. The nodes of both sides move, where they are free.
-
-        Args:
-            v: the displacement, which changes.
         """
         axes, V = self._axes.sum(axis=0), self._cells.V
         values = v.x.array.reshape(-1, self._cells.d)
@@ -247,8 +233,8 @@ class ContactSurface:
         """Return by how much tractions and jumps miss the law of contact. Collective.
 
         Returns:
-            the integrals (m,) over facets of p (d - v_n), upper bounds (m,) of those of
-            g |v_t - s| + t (v_t - s), and the largest penetration, or jump of bonded surfaces.
+            the integrals (m,) over facets of p (d - v_n), upper bounds (m,) of those of g |v_t - s|
+            + t (v_t - s), and the largest penetration, or jump of bonded surfaces.
         """
         jumps = self._coefficients(v.x.array.reshape(-1, self._cells.d))
         closing, pressure = jumps @ self.normal, -self.tractions @ self.normal

@@ -30,9 +30,6 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
 
     They follow from a(w, v) for displacements w with constant gradients and quadratic v of each
     cell, which must be the work of constant stresses that rotations do not cause. Collective.
-
-    Raises:
-        InputError: a depends on more than the symmetric gradient, or a tensor varies in a cell.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
@@ -57,24 +54,23 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
     by_slope = forces.reshape(n, d, d, -1)
     kinds = {integral.integral_type() for integral in a.integrals()}
     rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2) / cells.heights.min(axis=1)
-    for difference, needed in (
-        (
-            forces.sum(axis=2) if kinds == {"cell"} else np.array(np.inf),
-            "a form a of integrals over cells, of the strain alone; this one also has integrals "
-            "over facets, or depends on the displacement itself, as springs do, or on a volume's "
-            "mean",
-        ),
-        (
-            by_slope - np.swapaxes(by_slope, 1, 2),
-            "a form a of the symmetric gradient; this one gives rotations an energy",
-        ),
-        (
-            forces - of_constant,
-            "a stiffness that is constant in each cell. Interpolate the moduli into a space "
-            '("DG", 0)',
-        ),
-    ):
-        cells.require((np.abs(difference.T) <= rounding).all(), needed)
+
+    def vanishes(difference: Array) -> bool:
+        return bool((np.abs(difference.T) <= rounding).all())
+
+    cells.require(
+        kinds == {"cell"} and vanishes(forces.sum(axis=2)),
+        "a form a of integrals over cells, of the strain alone; this one also has integrals over "
+        "facets, or depends on the displacement itself, as springs do, or on a volume's mean",
+    )
+    cells.require(
+        vanishes(by_slope - np.swapaxes(by_slope, 1, 2)),
+        "a form a of the symmetric gradient; this one gives rotations an energy",
+    )
+    cells.require(
+        vanishes(forces - of_constant),
+        'a stiffness that is constant in each cell. Interpolate the moduli into a space ("DG", 0)',
+    )
     positive = (np.linalg.eigvalsh(result) > 0.0).all()
     cells.require(positive, "a stiffness in every cell, and positive moduli")
     return result
@@ -89,19 +85,12 @@ def loads(
     them are exact for polynomials of degree up to 5, see `SQUARES`. They have a quadratic part and
     the rest, the distance from quadratic functions: on facets the factor of the former is smaller.
 
-    Args:
-        L: the form.
-        cells: the cells.
-        factors: (n, d + 2) bounds of the work of a load of norm 1 that is orthogonal to linear
-            functions, relative to the energy norm: in the cell, and on each facet.
-        maps: entity maps of Functions on other meshes.
+    `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
+    relative to the energy norm: in the cell, and on each facet.
 
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
         bounds (n,) of the work of the loads minus their projections, relative to the energy norm.
-
-    Raises:
-        InputError: L has integrals over interior facets, or depends on the gradient.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     loading, oscillation = np.zeros((n, corners, corners, d)), np.zeros(n)
@@ -151,20 +140,9 @@ def loads(
             values -= linear @ projection
             load += projection  # a view of the loading
             quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
-            oscillation += factors[:, number] * largest_work(quadratic, farther, ratio)
+            # the factor R_F of a traction that is orthogonal to linear functions is too large for
+            # its quadratic part, whose factor is Q_F = R_F cos(theta_F): docs/theory/guaranteed.md
+            angle = np.arccos(ratio) - np.arctan2(farther, quadratic)
+            work = np.hypot(quadratic, farther) * np.cos(np.maximum(angle, 0.0))
+            oscillation += factors[:, number] * work
     return loading, oscillation
-
-
-def largest_work(quadratic: Array, farther: Array, ratio: float) -> Array:
-    """Return |t - t_h| cos(theta_F) (n,) of tractions on facets (docs/theory/guaranteed.md).
-
-    The factor R_F of a traction that is orthogonal to linear functions is too large for its
-    quadratic part, whose factor is Q_F: R_F cos(theta_F) is Q_F for quadratic tractions.
-
-    Args:
-        quadratic: (n,) norms of the quadratic parts of t - t_h.
-        farther: (n,) distances of the tractions t from quadratic functions.
-        ratio: Q_F / R_F; 1 for loads in cells.
-    """
-    angle = np.arccos(ratio) - np.arctan2(farther, quadratic)
-    return np.asarray(np.hypot(quadratic, farther) * np.cos(np.maximum(angle, 0.0)))

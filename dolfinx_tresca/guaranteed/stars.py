@@ -23,19 +23,17 @@ class Stars:
     the sum of those of its two sides, the same in the stars of its d vertices.
 
     Tractions are on this rank's facets, ghosts included; loadings are of the cells it owns. The
-    equations of a star, with a row for each of its cells, are solved by the rank that owns the
-    vertex.
+    rank that owns a vertex solves the equations of its star, with a row for each cell.
     """
 
     def __init__(self, cells: MeshCells, stiffness: Array, free: Mask) -> None:
         """Factor the equations of all stars. Collective.
 
-        Args:
-            cells: the cells.
-            stiffness: (n, d + 1, d * d, d * d) energies of tractions on each facet.
-            free: (n, d + 1, d) whether the traction on a facet is unknown along an axis.
+        Tractions on facets have energies (n, d + 1, d * d, d * d), and are `free` (n, d + 1, d)
+        along axes.
         """
-        d, self._cells = cells.d, cells
+        d, sides, comm = cells.d, opposite(cells.d), cells.V.mesh.comm
+        self._cells, (n, corners) = cells, cells.facets.shape
         self._sides = cells.facet_sums(np.ones((*cells.facets.shape, 1, 1)))
         sums = cells.facet_sums(stiffness)
         unknown = np.tile(cells.facet_sums(free[:, :, None].astype(np.float64)) > 0.0, d)
@@ -44,20 +42,13 @@ class Stars:
         self._softness = both * np.linalg.inv(np.where(both, sums, diagonal))
         # work of tractions on the rigid motions about each vertex of a facet: equal on both sides
         points, areas = np.zeros((len(sums), 1, d, d)), np.zeros((len(sums), 1, 1, 1, 1))
-        points[cells.facets, 0] = cells.points[:, opposite(d)]
+        points[cells.facets, 0] = cells.points[:, sides]
         areas[cells.facets, 0, 0, 0, 0] = cells.areas
         motions = rigid_motions(points - np.swapaxes(points, 1, 2))
         work = areas * (mean_products(d, 2) @ motions)
         self._work = work.reshape(len(sums), d, -1, d * d)
-        self._factor()
 
-    def _factor(self) -> None:
-        """Factor the equations of the stars of this rank's vertices. Collective.
-
-        They are those of graphs: cells are the nodes, facets the edges, with blocks as weights.
-        """
-        cells, sides = self._cells, opposite(self._cells.d)
-        (n, corners), comm = cells.facets.shape, cells.V.mesh.comm
+        # equations of graphs: cells are the nodes, facets the edges, with blocks as weights
         weights = self._work @ self._softness[:, None] @ np.swapaxes(self._work, 2, 3)
         size = weights.shape[-1]
         # numbers of rows at the owners of the vertices: of cells, and of those across facets
@@ -122,11 +113,9 @@ class Stars:
     def preconditioned(self, gradient: Array) -> Array:
         """Return a loading without resultants that decreases a quadratic function. Collective.
 
-        It is the sum of the best corrections of all stars, where the second derivative is replaced
-        by the stiffnesses of facets.
-
-        Args:
-            gradient: (n, d + 1, d + 1, d) minus the function's derivative by the loading.
+        It is the sum of the best corrections of all stars, with the stiffnesses of facets in place
+        of the second derivative; `gradient` (n, d + 1, d + 1, d) is minus the derivative by the
+        loading.
         """
         cells, d = self._cells, self._cells.d
         forces = cells.facet_sums(cells.signs * gradient[:, :, :d]).reshape(-1, d * d, 1)
@@ -138,16 +127,11 @@ class Stars:
         return cells.on_sides(d * tractions[..., 0] - self._balancing(total))
 
     def equilibrated(self, loading: Array, force: Array) -> Array:
-        """Return a loading in equilibrium. Collective.
+        """Return a loading that balances forces (n, d + 1, d) at vertices of cells. Collective.
 
         Its tractions are the given ones, elsewhere the means of those of both sides, with the least
-        corrections of all stars.
-
-        Args:
-            loading: (n, d + 1, d + 1, d) loads, and tractions: those that are given, and
-                approximate ones.
-            force: (n, d + 1, d) forces at the vertices of cells, which the loading is to balance.
-                Their sums around vertices are those of the loads and given tractions.
+        corrections of all stars. Sums of the forces around vertices are those of the loads and
+        given tractions.
         """
         cells, d = self._cells, self._cells.d
         means = cells.facet_sums(cells.signs * loading[:, :, :d]) / self._sides

@@ -13,7 +13,7 @@ import sys
 import xml.etree.ElementTree as ET
 import zlib
 from base64 import b64encode
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from numbers import Real
@@ -55,11 +55,7 @@ _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": 
 
 
 def optional(name: str) -> Any:
-    """Import a module that only pictures and `to_pyvista` need. Not collective.
-
-    Raises:
-        ContactError: it is not installed, or does not suit what is installed.
-    """
+    """Import a module that only pictures and `to_pyvista` need."""
     try:
         return import_module(name)
     except (ImportError, AttributeError) as error:  # AttributeError: VTK lacks something
@@ -80,8 +76,7 @@ class Grid:
         points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers of the cell types.
-        values: name -> (n,), (n, 3) or (n, 9) values of a Function; vectors and tensors of 2D are
-            padded with 0.
+        values: name -> (n,), (n, 3) or (n, 9) values of a Function, padded with 0 in 2D.
         cell_values: name -> (m,), (m, 3) or (m, 9) values of a Function that is constant in cells.
     """
 
@@ -93,11 +88,7 @@ class Grid:
     cell_values: dict[str, npt.NDArray[Any]]
 
     def to_pyvista(self) -> Any:
-        """Return the `pyvista.UnstructuredGrid` with its point and cell data. Not collective.
-
-        Raises:
-            ContactError: pyvista is not installed, or does not suit the installed VTK.
-        """
+        """Return the `pyvista.UnstructuredGrid` with its point and cell data."""
         pyvista = optional("pyvista")
         grid = pyvista.UnstructuredGrid(self.cells.ravel(), self.cell_types, self.points)
         grid.point_data.update(self.values)
@@ -140,10 +131,7 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
-    """Return a Function's values (n,), (n, 3) or (n, 9), with zeros as third components of 2D.
-
-    Values of an `IntegerFunction` are integers. Not collective.
-    """
+    """Return a Function's values (n,), (n, 3) or (n, 9), with zeros as third components of 2D."""
     shape = function.ufl_shape
     values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
     if isinstance(function, IntegerFunction):
@@ -155,13 +143,10 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
 def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     """Return the grids "volume" and "contact" of a solution on the first rank, none on others.
 
-    With several pairs there is a grid for each, named after the pair. The degree of the volume is
+    With several pairs there is a grid for each, named after the pair, with its number if the name
+    is taken. The degree of the volume is
     high enough for curved cells to be shown as curved, and it has the user's fields, too; surfaces
     are of degree 1. Collective.
-
-    Raises:
-        InputError: `solution` is not a `ContactSolution`; a field is of another kind, on another
-            mesh, or has a name that is in use; or `fields` is a single field.
     """
     check_type("solution", solution, Evaluation, "what solve() has returned")
     u, surfaces = solution.u, solution.surfaces
@@ -181,20 +166,13 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     grids: dict[str, Grid] = {}
     for number, (name, functions) in enumerate(blocks):
         grid = gather_grid(functions)
-        if grid is not None:
-            grids[_unused_name(name, grids, number)] = grid
+        if grid is None:
+            continue
+        word = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
+        while word in grids:
+            word += f"_{number}"
+        grids[word] = grid
     return grids
-
-
-def _unused_name(name: str, taken: Container[str], number: int) -> str:
-    """Return a name for a grid that is not taken, of letters, digits and underscores.
-
-    It is that of a pair, whose number is appended if the name is taken.
-    """
-    result = re.sub(r"\W+", "_", name, flags=re.ASCII)[:60].strip("_") or f"block_{number}"
-    while result in taken:
-        result += f"_{number}"
-    return result
 
 
 def _of_cells(mesh: Any, name: str, cells: Any, values: npt.NDArray[Any]) -> IntegerFunction:
@@ -205,11 +183,7 @@ def _of_cells(mesh: Any, name: str, cells: Any, values: npt.NDArray[Any]) -> Int
 
 
 def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Function:
-    """Check a field of the user and return it; tags of cells become a Function of degree 0.
-
-    Raises:
-        InputError: see `grids_of`.
-    """
+    """Check a field of the user and return it; tags of cells become a Function of degree 0."""
     mesh = u.function_space.mesh
     if not isinstance(field, fem.Function | MeshTags):
         raise InputError(
@@ -240,10 +214,7 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 
 
 def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Interpolate Functions to the highest degree of these and of the geometry. Collective.
-
-    Functions of degree 0 stay.
-    """
+    """Interpolate Functions, but those of degree 0, to the highest degree of all. Collective."""
     mesh = functions[0].function_space.mesh
     degrees = [function.function_space.ufl_element().degree for function in functions]
     degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
@@ -322,12 +293,7 @@ class SolutionWriter:
         """Write the grids of a step to a new folder, and then an index with this step.
 
         Until the index replaces the old one, all files of the older steps are as they were. After
-        the first step, remove other steps: those of an older series, and what a killed run has
-        left. Not collective.
-
-        Raises:
-            OSError: a file cannot be written.
-            InputError: the existing series cannot be continued.
+        the first step, remove those of an older series, and what a killed run has left.
         """
         if self._series is not None:
             series = list(self._series)
@@ -364,12 +330,7 @@ class SolutionWriter:
         self._series = series
 
     def _earlier_steps(self, time: float) -> list[dict[str, str]]:
-        """Return the entries of the existing index before a time. Not collective.
-
-        Raises:
-            OSError: the file cannot be read.
-            InputError: the file is no such index.
-        """
+        """Return the entries of the existing index before a time."""
         try:
             entries = [item.attrib for item in ET.parse(self._path).iter("DataSet")]
             return [entry for entry in entries if float(entry["timestep"]) < time]
@@ -380,7 +341,7 @@ class SolutionWriter:
 
 
 def _remove_grids(folder: Path) -> None:
-    """Remove the files of a step, and its folder if it is empty then. Not collective."""
+    """Remove the files of a step, and its folder if it is empty then."""
     for file in folder.glob("*.vtu"):
         file.unlink(missing_ok=True)
     if not any(folder.iterdir()):
@@ -388,11 +349,7 @@ def _remove_grids(folder: Path) -> None:
 
 
 def write_vtu(path: Path, grid: Grid) -> None:
-    """Write a grid. Not collective.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write a grid."""
     root = _root("UnstructuredGrid")
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")

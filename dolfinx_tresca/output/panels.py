@@ -51,13 +51,12 @@ class Contact:
     """A contact surface, gathered on one rank.
 
     Attributes:
-        grid: the fields of the surface. Its "slip" is the slip of this step, and zero at sticking
+        grid: the fields of the surface. Its "slip" is that of this step, and zero at sticking
             nodes; only pairs with friction have it. "pressed" is 1 at nodes that are drawn as
             touching, 0 at open ones; "sticks" is 1 at nodes that stick.
         title: name of the pair with its number; "" for a single pair.
         label: number of the pair; "" for a single pair.
-        slip_name: name of the slip in titles and labels: "slip", or "slip of step" after an
-            accepted load step.
+        slip_name: name of the slip: "slip", or "slip of step" after an accepted load step.
         obstacle: the other side, if it is rigid; else None.
     """
 
@@ -72,8 +71,7 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     """Return a whole surface on the first rank, None on other ranks. Collective.
 
     A node that carries no multiplier, such as the tip of a crack or a prescribed node, is drawn as
-    touching if all nodes beside it touch, provided that each of its facets has a node that carries
-    one. Nodes farther beyond the primary side are open.
+    touching if all nodes beside it touch, and each of its facets has a node that carries one.
     """
     grid = gather_grid((*surface.functions, surface.initial_gap))
     if grid is None:
@@ -129,7 +127,7 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
     """Return the values of the first and the last colour, and the largest value, for values >= 0.
 
     Colours begin at zero, unless all values are far from zero. With `clip` they may end, at a round
-    number, below a few values that are much larger than the others.
+    number, below a few values that are much larger.
     """
     least, largest = float(values.min(initial=math.inf)), float(values.max(initial=0.0))
     most = float(np.percentile(values, 85.0)) if clip and len(values) else 0.0
@@ -141,10 +139,7 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
 
 
 def draw_bar(panel: Any, name: str, unit: str, cmap: str, limits: Sequence[float]) -> None:
-    """Draw a colour bar at the bottom of a panel; an arrow and a text show a peak beyond it.
-
-    The limits are those of `colour_range`, the colours have matplotlib's name of them.
-    """
+    """Draw a colour bar for a `colour_range`; an arrow and a text show a peak beyond it."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -167,11 +162,11 @@ def labelled(name: str, unit: str) -> str:
 
 
 def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
-    """Return the pieces of a curve of 2D.
+    """Return the pieces of a curve of 2D, sorted by the nodes at which they begin.
 
     An open piece begins at one of its ends, a closed piece at one of its nodes: at the least one if
     they are sorted by x, then by y. A closed piece runs counterclockwise and ends with the node
-    with which it begins. Pieces are sorted by the nodes at which they begin.
+    with which it begins.
 
     Returns:
         for each piece: its k nodes; (k,) arc lengths [length], which increase from piece to piece,
@@ -203,7 +198,7 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
 
 
 def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
-    """Draw pressure, traction and slip against arc length, with names of units. Not collective."""
+    """Draw pressure, traction and slip against arc length, with names of units."""
     values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
     charts = [(["pressure"], "contact pressure", stress)]
     if "slip" in values:
@@ -244,8 +239,8 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
 def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     """Yield a plotter of pyvista; put the largest view of all that is drawn into a panel.
 
-    The view has no perspective. Arrows at its lower left show the coordinate directions. The normal
-    (3,) points to the viewer, and `up` (3,) upward in the view.
+    The view has no perspective, and arrows show the coordinate directions. The normal (3,) points
+    to the viewer, and `up` (3,) upward in the view.
     """
     import pyvista
 
@@ -281,8 +276,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
 def skin(grid: Any) -> Any:
     """Return the outer faces of a grid; faces of degree 2 are cut into pieces of half the length.
 
-    This is `extract_surface` of pyvista, whose newer versions require an argument that older
-    versions do not have.
+    `extract_surface` of newer pyvista requires an argument that older versions do not have.
     """
     import pyvista
 
@@ -295,8 +289,8 @@ def skin(grid: Any) -> Any:
 def straight(volume: Grid) -> Grid:
     """Return a grid with the corners of its cells alone.
 
-    Of tetrahedra and hexahedra of degree 2 VTK also draws faces between two cells if these have the
-    nodes of the face in different orders, and then finds no edges of the bodies.
+    Of tetrahedra and hexahedra of degree 2 VTK also draws faces between cells that have the nodes
+    of the face in different orders, and then finds no edges of the bodies.
     """
     kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
     cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
@@ -306,10 +300,7 @@ def straight(volume: Grid) -> Grid:
 def draw_bodies(
     panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
 ) -> None:
-    """Draw the deformed bodies, the contact curves of 2D, and rigid obstacles.
-
-    The scale magnifies the displacement; if it is None, `magnification` chooses it.
-    """
+    """Draw bodies with a magnified displacement, contact curves of 2D, and rigid obstacles."""
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2
     normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)
@@ -350,8 +341,7 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 
     At x + scale u, surfaces whose gap d has closed would overlap by (scale - 1) d, and the sides of
     an initial overlap (a press fit) would be apart. The scale keeps these distances, and overlaps
-    of open surfaces, below `INVISIBLE`. If the displacement itself would then be invisible, it is
-    drawn without magnification.
+    of open surfaces, below `INVISIBLE`; it is 1 if the displacement would then be invisible.
     """
     length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
     largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
@@ -374,9 +364,8 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
     """Draw an obstacle near points (n, 3) of the bodies; return whether it is there to be drawn.
 
-    In 2D (`flat`) all of it is drawn, where its signed distance is negative. In 3D its surface is
-    drawn. The sides that are seen from within the obstacle are transparent, so that obstacles in
-    front of the points do not hide them.
+    In 2D (`flat`) all of it is drawn, in 3D its surface; sides that are seen from within the
+    obstacle are transparent, so that they do not hide the points.
     """
     import pyvista
 
@@ -410,10 +399,7 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
 
 
 def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None:
-    """Draw a contact curve on the deformed bodies: thick and red where it is pressed.
-
-    A dot and the number of the pair, if there are several, mark the start of the curve.
-    """
+    """Draw a contact curve on the deformed bodies: thick and red where it is pressed."""
     curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale).translate(lift)
     pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
     plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
@@ -430,8 +416,7 @@ def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None
 def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None:
     """Draw the facets that may touch, seen along their mean normal, or obliquely if closed.
 
-    Other facets, such as the sides and the top of a block whose whole boundary has the tag, would
-    hide the facets that may touch.
+    Others, such as the sides of a block whose whole boundary has the tag, would hide these.
     """
     import pyvista
 
@@ -492,8 +477,7 @@ def with_normals(grid: Any) -> Any:
 def direction(surface: Any) -> tuple[Array, Array]:
     """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
 
-    The upward direction is along z or y, or along the longer side of a long surface. A closed
-    surface has no mean normal, and is seen obliquely.
+    This is z or y, or the longer side of a long surface. A closed surface is seen obliquely.
     """
     sized = surface.compute_cell_sizes(length=False, volume=False)
     mean = sized.cell_data["Normals"].T @ sized.cell_data["Area"]

@@ -124,7 +124,7 @@ def plot(
 def compose(
     volume: Grid, contacts: Sequence[Contact], scale: float | None, units: Units | None
 ) -> Any:
-    """Return the picture as a figure, in matplotlib's current style. Not collective.
+    """Return the picture as a figure, in matplotlib's current style.
 
     The bodies are on the left, no taller than two rows, and each contact has a row on the right.
     """
@@ -139,23 +139,18 @@ def compose(
     length, stress = (units.length, units.stress) if units else ("", "")
     panels.draw_bodies(left, volume, contacts, scale, length)
     draw = draw_curve if volume.dim == 2 else panels.draw_surface
-    for panel, contact in zip(
-        right.subfigures(count, 1, squeeze=False)[:, 0], contacts, strict=True
-    ):
+    rows = right.subfigures(count, 1, squeeze=False)[:, 0]
+    for panel, contact in zip(rows, contacts, strict=True):
         draw(panel, contact, length, stress)
     return figure
 
 
 @contextmanager
 def display_for_pictures() -> Iterator[None]:
-    """Let VTK render within a `with` block, also without a display. Not collective.
+    """Let VTK render within a `with` block, also without a display.
 
-    Without a display VTK 9.5 and later render through EGL, if the system has this library. Older
-    versions of VTK, and later versions without EGL, would end in a segmentation fault: for these
-    versions Xvfb, an X server, is started.
-
-    Raises:
-        ContactError: EGL cannot be used, and Xvfb is not installed or fails.
+    Then VTK 9.5 and later render through EGL, if the system has this library. Other versions would
+    end in a segmentation fault: for these Xvfb, an X server, is started.
     """
     with ExitStack() as stack:
         linux = sys.platform.startswith("linux")
@@ -177,11 +172,7 @@ def renders_off_screen() -> bool:
 
 
 def x_server(stack: ExitStack) -> str:
-    """Run the X server Xvfb until a stack ends, and return its DISPLAY.
-
-    Raises:
-        ContactError: Xvfb is not installed, or it fails.
-    """
+    """Run the X server Xvfb until a stack ends, and return its DISPLAY."""
     program = shutil.which("Xvfb")
     if program is None:
         raise ContactError(

@@ -62,12 +62,11 @@ class ProblemSummary:
     """Sizes of a problem, over all ranks.
 
     Attributes:
-        dofs: degrees of freedom of the displacement.
-        free_dofs: n, degrees of freedom of the displacement that are not prescribed.
+        dofs: degrees of freedom of the displacement, and `free_dofs` those that are not prescribed.
         contact_nodes: m, nodes that carry multipliers.
         size_rows: the rows that do not belong to pairs.
-        pairs: for each pair: the pair with the kind of its pairing and its number of nodes, as
-            text; the range of its gap, as text; and its law.
+        pairs: for each pair, as text: its name with its kind and number of nodes, and the range of
+            its gap; and its law.
     """
 
     dofs: int
@@ -108,7 +107,7 @@ class ProblemSummary:
         return cls(dofs, free_dofs, contact_nodes, size_rows, tuple(texts))
 
     def rows(self, units: Units | None) -> list[Row]:
-        """Return names and values. Not collective."""
+        """Return names and values."""
         pair_rows = [
             ("  pair", f"{pair}, {with_unit(gap, units, 'length')}, {law}")
             for pair, gap, law in self.pairs
@@ -117,10 +116,7 @@ class ProblemSummary:
 
 
 def figures(values: npt.ArrayLike, error: float) -> str:
-    """Return the text of a number or a vector, with as many digits as its error justifies: 1 to 8.
-
-    The error is relative to the number, or to the largest component.
-    """
+    """Return a number or a vector with as many digits, 1 to 8, as its relative error justifies."""
     digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
     size = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
@@ -233,10 +229,7 @@ def contact_rows(
 
 
 def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
-    """Return the page of a `ContactSolution` as text, with the solutions of earlier load steps.
-
-    The picture is a `PIL.Image.Image`. Not collective.
-    """
+    """Return the page of a `ContactSolution`, after earlier load steps, with a `PIL` image."""
     image, script = io.BytesIO(), Path(getattr(sys.modules["__main__"], "__file__", ""))
     picture.save(image, format="PNG")
     encoded = base64.b64encode(image.getvalue()).decode()
@@ -308,7 +301,7 @@ def force_graph(solution: Any) -> str:
 
 
 def environment() -> str:
-    """Return a table of the versions of all software that a solve uses. Not collective."""
+    """Return a table of the versions of all software that a solve uses."""
     package, libraries = sys.modules["dolfinx_tresca"], loaded_libraries()
     petsc = ".".join(map(str, PETSc.Sys.getVersion()))
     scalars, indices = np.dtype(PETSc.ScalarType), np.dtype(PETSc.IntType)

@@ -58,13 +58,10 @@ TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 
 def contact_normals(own: Array, partner: Array, own_turn: Array, partner_turn: Array) -> Array:
-    """Return the contact normals (..., 3) at points of the secondary side. Not collective.
+    """Return the contact normals (..., 3) at points of the secondary side.
 
-    Args:
-        own: (..., 3) outward unit normals of the secondary side.
-        partner: (..., 3) outward unit normals of the primary side at the opposite points.
-        own_turn: (...) angles by which normals turn over facets of the secondary side [rad].
-        partner_turn: (...) angles by which normals turn over facets of the primary side [rad].
+    They follow from the outward unit normals (..., 3) of both sides, and the angles (...) by which
+    normals turn over facets of each side there [rad].
     """
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[..., None]  # of the own normal
@@ -115,8 +112,15 @@ class SmoothSurface:
         smooth = self._smoothness(nodes, rim)
         if facets.dim == 1:
             self._turn_end_normals(rim[corner_nodes], smooth)
-        turns_at_kinks = turned_angles(self._cosines())
-        self._height_factors = self._fitted_heights(smooth)
+        cosines = dots(self.corner_normals, self._facet_normals[:, None])
+        start, end = self._slopes()
+        turns_at_kinks = turned_angles(cosines)
+        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
+        # both is right to fourth order in the angle.
+        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        # (n, pairs) factors of products of two hat functions in heights [length]
+        self._height_factors = heights * (not facets.bent)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
         kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
         leaning = self._facet_normals[:, None] - self.corner_normals
@@ -128,7 +132,7 @@ class SmoothSurface:
             normals = facets.exact_normals_at(facet, x).reshape(-1, facets.corners, 3)
             self.corner_normals[self._exact] = normals
         self.corner_normals = unit(self.corner_normals)
-        self.turns = turned_angles(self._cosines())
+        self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         turns_at_kinks[self._exact] = self.turns[self._exact]
         self.across = _normals_across_edges(nodes)
         at_edge = self.across.any(axis=(1, 2))
@@ -142,23 +146,6 @@ class SmoothSurface:
         at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
-
-    def _fitted_heights(self, smooth: Array) -> Array:
-        """Return the factors (n, pairs) of products of two hat functions in heights [length].
-
-        They are zero if facets are bent; `smooth` (n,) is the factor of `_smoothness`.
-        """
-        start, end = self._slopes()
-        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
-        # both is right to fourth order in the angle.
-        cosines = self._cosines()
-        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
-        heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        return np.asarray(heights * (not self.facets.bent))
-
-    def _cosines(self) -> Array:
-        """Return the cosines (n, corners) between the normals at corners and of the facet."""
-        return dots(self.corner_normals, self._facet_normals[:, None])
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
@@ -190,10 +177,9 @@ class SmoothSurface:
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
 
-        With the end c of a curve and the other corner d of its facet (n_c + n_d).(x_d - x_c)
-        becomes zero, as far as the curve is smooth at d (`_smoothness`, (n,)). In 3D a node at the
-        rim has neighbours enough for its fitted normal. `at_rim` (n, 2) tells which corners are at
-        an end.
+        With the end c and the other corner d of its facet (n_c + n_d).(x_d - x_c) becomes zero, as
+        far as the curve is `smooth` (n,) at d. In 3D a node at the rim has neighbours enough for
+        its fitted normal. `at_rim` (n, 2) tells which corners are ends.
         """
         for c, d in ((0, 1), (1, 0)):
             ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
@@ -211,10 +197,7 @@ class SmoothSurface:
         return np.asarray(points + heights[:, :, None] * self._facet_normals[facet][:, None])
 
     def heights(self, facet: Indices, hats: Array) -> Array:
-        """Return the fitted heights (n,) over facets (n,), along the outward normal [length].
-
-        `hats` (n, corners) are the values of the facet's hat functions at each point.
-        """
+        """Return fitted heights (n,) [length] over facets (n,), with hat functions (n, corners)."""
         products = hats[:, self._first] * hats[:, self._second]
         return dots(products, self._height_factors[facet])
 
@@ -222,8 +205,7 @@ class SmoothSurface:
         """Return vectors (n, 3) from points x (n, dim) of facets to the surface, and its normals.
 
         This is the exact surface where it is known, else the fitted one; bent facets are their own
-        surface, with offset zero. Lengths are those of the mesh, and the normals (n, 3) have length
-        1.
+        surface.
         """
         facets = self.facets
         hats = facets.hats(x)
@@ -249,10 +231,9 @@ class SmoothSurface:
     ) -> Mask:
         """Return whether this surface and a partner may touch at opposite points (n,).
 
-        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`). Beside a sharp
-        edge they may also if the partner is opposed to the edge, whose normals are all between
-        those of the patches that meet there. But where it is opposed to a patch across the edge,
-        the contact is on that patch: this facet only recedes from the partner.
+        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`), and beside a
+        sharp edge if the partner is opposed to the edge, whose normals are all between those of its
+        patches. But where it is opposed to a patch across the edge, the contact is on that patch.
         """
         turned = self.turns[facet] + partner.turns[partner_facet]
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
@@ -298,13 +279,11 @@ def _rim_nodes(nodes: SurfaceNodes) -> Mask:
 def fitted_normals(nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
-    The mean of the facets' normals (`SurfaceNodes.normals`) is exact on a sphere. On a cylinder
-    with facets of different sizes and shapes, as after local refinement, its error is a fixed part
-    of the angle between facets, and the relative error of the sagitta (the height of the surface
-    over a facet) does not vanish as the mesh is refined. A least-squares fit of a quadratic height
-    function does not have this error (Cazals and Pouget 2005, Estimating differential quantities
-    using polynomial fitting of osculating jets). With too few neighbours the mean normal is kept.
-    The result is valid at nodes whose adjacent facets are all on this rank. Not collective.
+    The mean of the facets' normals is exact on a sphere; on a cylinder with facets of different
+    shapes its error is a fixed part of the angle between facets, and the relative error of heights
+    does not vanish as the mesh is refined. A least-squares fit has no such error (Cazals and Pouget
+    2005, Estimating differential quantities using polynomial fitting of osculating jets). With too
+    few neighbours the mean is kept. Valid at nodes whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()

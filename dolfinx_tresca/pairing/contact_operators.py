@@ -276,11 +276,7 @@ class ContactOperators:
         return with_owned_values(Q, result, name)
 
     def _nodal_values(self, function: fem.Function, *, scalar: bool = False) -> tuple[Any, Array]:
-        """Return the space of a field, and its values (owned nodes, 1 or d). Collective.
-
-        Raises:
-            InputError: `function` is not of degree 1 on the mesh, or no scalar.
-        """
+        """Return the space of a field, and its values (owned nodes, 1 or d). Collective."""
         mesh, dim = self._V.mesh, self._V.dofmap.index_map_bs
         shapes: list[tuple[int, ...]] = [()] if scalar else [(), (dim,)]
         cell = mesh.basix_cell()
@@ -307,10 +303,10 @@ class ContactOperators:
         return np.asarray(number[self._pair.nodes])
 
     def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
-        """Create the matrix (n, nodes of Q) that acts on Q like `rows` (n, nodes of V) on V.
+        """Create the matrix (n, nodes of Q) that acts on Q like sparse `rows` on V. Collective.
 
-        Q is a space of degree 1; at nodes of V on edges and faces its fields are interpolated from
-        the corners of a cell. The sparse `rows` have global column numbers. Collective.
+        Q has degree 1; at nodes of V on edges and faces its fields are interpolated from the
+        corners.
         """
         V, element = self._V, self._V.element.basix_element
         # exact zeros, halves and quarters, so that nodes off the surface have no entries

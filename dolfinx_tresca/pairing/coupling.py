@@ -6,6 +6,7 @@ The first functions decide which secondary nodes carry multipliers, and what to 
 from __future__ import annotations
 
 import logging
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -78,17 +79,14 @@ def corners_that_carry(
 ) -> Mask:
     """Return the mask (facets, corners) of the corners that carry multipliers. Collective.
 
-    The other corners give their part of the overlap to their neighbours: these are nodes beyond the
-    rim of the overlap. A part of the area of such a node may be covered, but the node itself does
-    not face the primary side. If it had a multiplier, the primary side would seem to extend up to
-    the node: the nodal force would be as large as for a whole facet, and the pressure, this force
-    divided by the covered area, would be far too large. If no corner of a facet would have a
-    multiplier, the corner with the largest covered part keeps its multiplier.
-
-    All ranks that have a node decide alike; `shared` (n,) are nodes that also belong to the primary
-    side.
+    Nodes beyond the rim of the overlap do not: a part of their area may be covered, but they do not
+    face the primary side, and with the nodal force of a whole facet on this part their pressure
+    would be far too large. Their part goes to their neighbours. If no corner of a facet is left,
+    that with the largest covered part carries. All ranks that have a node decide alike; `shared`
+    (n,) are nodes that also belong to the primary side.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
+    agreed = partial(owners_flags, V, nodes.numbers)
     covered = nodes.reduced(np.add, weights, 0.0)
     whole = nodes.reduced(np.add, weights.mean(axis=1, keepdims=True), 0.0)
     # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
@@ -99,22 +97,22 @@ def corners_that_carry(
         """Return the mask (n,) of the nodes of facets in a mask."""
         return np.asarray(nodes.reduced(np.maximum, facets[:, None], False))
 
-    partial = ~integrals.full & (weights.sum(axis=1) > 0.0)
-    at_rim = corners_of(partial)
-    without = owners_flags(V, nodes, at_rim & (covered < LEAST_MEAN * whole))
+    partly = ~integrals.full & (weights.sum(axis=1) > 0.0)
+    at_rim = corners_of(partly)
+    without = agreed(at_rim & (covered < LEAST_MEAN * whole))
     # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
     # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
     # which one of these nodes has a multiplier
-    near = owners_flags(V, nodes, at_rim & corners_of(integrals.full))
-    near = owners_flags(V, nodes, at_rim & (near | corners_of(partial & near[corners].any(axis=1))))
-    near = corners_of(partial & (near & ~without)[corners].any(axis=1))
+    near = agreed(at_rim & corners_of(integrals.full))
+    near = agreed(at_rim & (near | corners_of(partly & near[corners].any(axis=1))))
+    near = corners_of(partly & (near & ~without)[corners].any(axis=1))
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
-    without = owners_flags(V, nodes, (covered > 0.0) & without & single)
+    without = agreed((covered > 0.0) & without & single)
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
     largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
     without[corners[no_carrier[:, None] & largest]] = False
-    return np.asarray(~owners_flags(V, nodes, without)[corners])
+    return np.asarray(~agreed(without)[corners])
 
 
 def nodes_with_multipliers(
@@ -122,17 +120,9 @@ def nodes_with_multipliers(
 ) -> Indices:
     """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
 
-    Args:
-        V: the space of the displacement.
-        pair: the contact pair.
-        nodes: the secondary nodes.
-        unpaired: (n,) whether a node does not face the primary side; valid for owned nodes.
-        shared: (n,) whether a node also belongs to the primary side, and so has no multiplier; for
-            a surface that touches itself, see `redundant_nodes`.
-
-    Raises:
-        PairingError: no node of any rank carries a multiplier. With finite sliding this is no error
-            if nodes could carry multipliers in other positions of the bodies.
+    `unpaired` (n,) nodes do not face the primary side, which owners know; `shared` (n,) nodes
+    belong to it, too, and have no multiplier. With finite sliding there may be none, if nodes could
+    carry multipliers in other positions of the bodies.
     """
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
@@ -207,31 +197,35 @@ def couple(
 ) -> PairOperators:
     """Find the jumps at secondary nodes by integrals over facets that face the other side.
 
-    The gap is the mean distance of the smooth surfaces along the contact normal: of the exact
-    surfaces where they are known, else of the facets with the heights of fitted surfaces over them.
-    Directions in which the displacement is prescribed have no rows; for exceptions see
-    `PairOperators`. The result has the nodes of all pairs of the group. Collective.
+    The gap is the mean distance along the contact normal of the exact surfaces where they are
+    known, else of the facets with the heights of fitted surfaces. Directions in which the
+    displacement is prescribed have no rows; for exceptions see `PairOperators`. The result has the
+    nodes of all pairs of the group. Collective.
 
-    Args:
-        V: the space of the displacement.
-        undeformed: the undeformed surfaces, with the pairs and their laws.
-        nodes: nodes of the secondary side.
-        primary: facets of the primary side; None for an obstacle.
-        integrals: the integrals over the facets.
-        carries: (facets, corners) whether a corner has a multiplier; the part of other corners is
-            distributed over the facet's corners that have.
-        shared: (n,) whether a node belongs to both sides, and so has no multiplier.
-        moved: whether the surfaces are displaced. There is then no warning of a close fit, since
-            penetration is an error of the displacement.
-
-    Raises:
-        PairingError: no node can carry a multiplier.
+    `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
+    and `shared` (n,) are as in `corners_that_carry`. If the surfaces have moved, penetration is an
+    error of the displacement, and no close fit is warned of.
     """
     group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
     pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
-    columns = V.dofmap.index_map.size_global
+    corners, columns = nodes.facet_nodes, V.dofmap.index_map.size_global
+    facet, partner = integrals.pairs.T
     with errors_on_all_ranks(comm):
-        weights, jump, across, means = mortar_rows(nodes, primary, integrals, columns, carries)
+        # means, weighted by the functions psi_i of the dual basis: of the displacement on both
+        # sides, of the six quantities of `FacetIntegrals.means`, and of the coordinates
+        sums = redistribution(carries)
+        weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", sums, integrals.hats), 0.0)
+        scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
+        dual = dual_coefficients(integrals.hats, carries) * scale[corners][:, :, None]
+        own = dual @ integrals.values
+        jump = assemble_rows(nodes, corners, facets.nodes, own, columns)
+        across = csr_array(jump.shape)
+        if primary is not None:
+            blocks = dual[facet] @ integrals.partner
+            across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
+            jump = jump - across
+        means = np.concatenate([dual @ integrals.means, own @ facets.points], axis=2)
+        means = nodes.reduced(np.add, means, 0.0)
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     length = np.linalg.norm(means[:, 3:6], axis=1)
     vectors = np.where((length <= CANCELLED)[:, None], nodes.normals, means[:, 3:6])
@@ -244,12 +238,11 @@ def couple(
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
 
-    facet, partner = integrals.pairs.T
-    sizes = np.einsum("nij,njk->ni", redistribution(carries)[facet], integrals.partner)
+    sizes = np.einsum("nij,njk->ni", sums[facet], integrals.partner)
     column = partner if primary is None else primary.tag_index[partner]
     member = group.pair_of_tags[facets.tag_index[facet], column]
     shares: Array = np.zeros((count, len(group.pairs)))
-    np.add.at(shares, (nodes.facet_nodes[facet], member[:, None]), sizes)
+    np.add.at(shares, (corners[facet], member[:, None]), sizes)
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
     if not moved and primary is not None:
@@ -314,60 +307,15 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
         )
 
 
-def mortar_rows(
-    nodes: SurfaceNodes,
-    primary: Facets | None,
-    integrals: FacetIntegrals,
-    columns: int,
-    carries: Mask,
-) -> tuple[Array, Any, Any, Array]:
-    """Return means of the jump, weighted by the functions psi_i of the dual basis. Not collective.
-
-    Args:
-        nodes: nodes of the secondary side.
-        primary: facets of the primary side; None for an obstacle.
-        integrals: the integrals over the facets.
-        columns: number of nodes of V on all ranks.
-        carries: (facets, corners) whether a corner has a multiplier, see `couple`.
-
-    Returns:
-        For each of the nodes (n,) the covered area [length^2, in 2D length]; the sparse matrix (n,
-        nodes of V) of the jump, secondary minus primary, and that of its primary part; and (n, 9)
-        the means of the six quantities of `FacetIntegrals.means`, and the three coordinates of the
-        point of application of the nodal force.
-    """
-    corners = nodes.facet_nodes
-    sizes = np.einsum("nij,njk->ni", redistribution(carries), integrals.hats)
-    weights = nodes.reduced(np.add, sizes, 0.0)
-    scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-    dual = dual_coefficients(integrals.hats, carries) * scale[corners][:, :, None]
-    own = dual @ integrals.values
-    jump = assemble_rows(nodes, corners, nodes.facets.nodes, own, columns)
-    across = csr_array(jump.shape)
-    if primary is not None:
-        facet, partner = integrals.pairs.T
-        blocks = dual[facet] @ integrals.partner
-        across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
-        jump = jump - across
-    means = np.concatenate([dual @ integrals.means, own @ nodes.facets.points], axis=2)
-    return weights, jump, across, nodes.reduced(np.add, means, 0.0)
-
-
 def dual_coefficients(hats: Array, carries: Mask) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
-    (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is the integral of phi_i
-    for i = j, and zero otherwise. So a nodal pressure is the nodal force divided by the node's
-    covered area. If corners have no multiplier, their hat functions are first added, in equal
-    parts, to those of the other corners of the facet, and the basis is biorthogonal to these sums;
-    a facet without multipliers has no basis functions. In both cases the basis functions sum to 1,
-    so that constant pressures are transferred exactly.
-
-    Args:
-        hats: (n, corners, corners) integrals of the products of two hat functions over the covered
-            parts of facets.
-        carries: (n, corners) whether a corner carries a multiplier.
+    (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is that of phi_i for i =
+    j, else zero. So a nodal pressure is the nodal force divided by the covered area. The hat
+    functions of corners that carry no multiplier are first added to the others (`redistribution`);
+    a facet without multipliers has no basis. The basis sums to 1, so that constant pressures are
+    transferred exactly. `hats` (n, corners, corners) are the integrals phi_i phi_j.
     """
     every = np.eye(hats.shape[1])
     sums = redistribution(carries)
@@ -383,9 +331,8 @@ def dual_coefficients(hats: Array, carries: Mask) -> Array:
 def redistribution(receives: Mask) -> Array:
     """Return matrices (n, corners, corners) that distribute values at the corners of facets.
 
-    The values of corners that are not in `receives` (n, corners) become zero, and are added in
-    equal parts to those of the other corners. The sum over a facet does not change, so that it
-    transfers a constant pressure even if some of its corners have no multiplier.
+    The values of corners that do not receive are added in equal parts to those of the others, so
+    that the sum over a facet does not change.
     """
     number = np.maximum(receives.sum(axis=1), 1)[:, None, None]
     shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / number)
@@ -397,8 +344,8 @@ def assemble_rows(
 ) -> Any:
     """Assemble blocks (n, corners, k), one for each facet, into a sparse matrix (nodes, width).
 
-    Entries that are rounding errors (`ENTRY_ROUNDING`) are left out. The blocks have the rows (n,
-    corners), as indices in `nodes`, and the global columns (n, k).
+    The rows (n, corners) are indices in `nodes`, the columns (n, k) are global. Entries that are
+    rounding errors (`ENTRY_ROUNDING`) are left out.
     """
     places = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
     entries = values.ravel(), (places[0].ravel(), places[1].ravel())
@@ -413,9 +360,8 @@ def assemble_rows(
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
-    Primary nodes whose share of the mean is at most `NEGLIGIBLE`, and nodes within edges of facets
-    of degree 2, do not count. A node that faces no primary node is free in no direction. `primary`
-    (n, nodes of V) has the means over the primary side.
+    Primary nodes whose share of the means (n, nodes of V) is `NEGLIGIBLE`, and nodes within edges
+    of facets of degree 2, do not count. A node that faces none is free in no direction.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     counts = np.abs(primary.data) > NEGLIGIBLE
@@ -432,18 +378,15 @@ def _normals_and_room(
     """Return the mask (n,) of nodes with a row of N, and projections (n, d, d) onto those of T.
 
     If several patches of a node on a sharp edge face the same place, such as an edge in the corner
-    of a box with the same nodes, they have the same jump. Each patch has a row of N for its normal,
-    as long as these rows are linearly independent. Friction then acts only along the edge, on the
-    patch with the largest weight. Patches that face different places, such as the head of a bolt
-    and its shank in a hole with clearance, are independent of each other.
+    of a box with the same nodes, they have the same jump. Each patch has a row of N as long as
+    these are linearly independent. Friction then acts only along the edge, on the patch with the
+    largest weight. Patches that face different places, such as the head of a bolt and its shank in
+    a hole with clearance, are independent of each other.
 
-    Args:
-        numbers: (n,) the node of each patch, ascending, and of one node by ascending weight.
-        means: (n, nodes of V) sparse matrix of the means over the primary side; empty for an
-            obstacle, which is the same place for all patches.
-        normals: (n, d) unit normals.
-        free: (n, d) whether friction may act along a coordinate axis.
-        moves: (n,) whether the displacement is not prescribed along the normal.
+    Patches have the `numbers` (n,) of their nodes, ascending, and of one node by weight; the sparse
+    means (n, nodes of V) over the primary side, empty for an obstacle; normals (n, d); axes (n, d)
+    along which friction may act; and (n,) whether the displacement is not prescribed along the
+    normal.
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])
@@ -469,10 +412,7 @@ def _normals_and_room(
 
 
 def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
-    """Return the tangents (n_tangential, d) of the rows of T, and the index of each row's node.
-
-    `room` (n, d, d) are projections onto the available directions.
-    """
+    """Return the tangents (n_tangential, d) in projections (n, d, d), and the node of each."""
     along = tangents(normals)
     limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)

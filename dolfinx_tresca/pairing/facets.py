@@ -166,10 +166,7 @@ class Facets:
         return replace(self, **{name: getattr(self, name)[index] for name in FACET_ARRAYS})
 
     def moved_to(self, points: Array) -> Facets:
-        """Return the facets with their nodes at other points (n, k, 3); `offsets` turn with them.
-
-        `bent` of the result describes this rank only, see `with_checked_areas`.
-        """
+        """Return the facets with nodes at points (n, k, 3); `bent` is that of this rank."""
         moved = replace(self, points=points)
         if self.has_exact_surface:
             local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
@@ -226,10 +223,7 @@ class Facets:
 
 
 def frames_along(sides: Array, normals: Array) -> Array:
-    """Return right-handed orthonormal axes (n, 3, 3) in rows: along a side, across it, the normal.
-
-    The sides (n, 3) are projected onto the planes of the unit normals (n, 3).
-    """
+    """Return right-handed orthonormal axes (n, 3, 3): sides in the plane, across them, normals."""
     along = unit(sides - dots(sides, normals)[:, None] * normals)
     return np.stack([along, cross(normals, along), normals], axis=1)
 
@@ -254,10 +248,7 @@ def _element(cell: str, degree: int) -> Any:
 
 
 def tabulate(cell: str, degree: int, derivatives: int, x: Array) -> Array:
-    """Return the Lagrange basis, and its gradient if `derivatives` = 1, at points x (q, dim).
-
-    The shape is (1 or 1 + dim, q, k): values first, then derivatives along each coordinate.
-    """
+    """Return the Lagrange basis (1, q, k), or with gradients (1 + dim, q, k), at x (q, dim)."""
     if len(x) == 0:  # basix requires at least one point
         return np.zeros((1 + derivatives * x.shape[1], 0, _element(cell, degree).dim))
     return np.asarray(_element(cell, degree).tabulate(derivatives, x)[..., 0])
@@ -272,10 +263,8 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
     """Find the reference points (n, dim) of facets whose images are given points of a plane.
 
-    Args:
-        facets: the facets; only their cell and degree are used.
-        nodes: (n, k, dim) nodes of one facet for each point, projected into the plane [length].
-        target: (n, dim) the given points in the plane [length].
+    Each point (n, dim) has a facet, whose nodes (n, k, dim) are projected into the plane [length].
+    Only the cell and degree of `facets` are used.
     """
     dim = facets.dim
     # the affine map is exact for straight segments, triangles and parallelograms
@@ -312,8 +301,7 @@ class SurfaceNodes:
     Weights and normals are valid at nodes whose adjacent facets are all on this rank.
 
     Attributes:
-        facets: the facets.
-        numbers: (n,) global numbers of the nodes in V, ascending. Among the entries of one node the
+        numbers: (n,) global numbers of the nodes in V, ascending; of the entries of one node the
             patch with the largest weight comes last.
         points: (n, 3) positions [length].
         weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
@@ -355,19 +343,11 @@ class SurfaceNodes:
         points = facets.points[:, :corners].reshape(-1, 3)[corner]
         free = facets.free.reshape(-1, facets.free.shape[2])[corner]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
-        return cls(
-            facets,
-            numbers,
-            points,
-            weights,
-            free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free),
-            free,
-            position,
-            has_no_normal,
-        )
+        normals = free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free)
+        return cls(facets, numbers, points, weights, normals, free, position, has_no_normal)
 
     def reduced(self, ufunc: np.ufunc, values: Any, initial: Any, facets: Any = slice(None)) -> Any:
-        """Return a sum, or another reduction, at nodes of values (facets, corners, ...) at corners.
+        """Return sums, or other reductions, at nodes of values (facets, corners, ...) at corners.
 
         Nodes without one of the `facets`, by default all, get the `initial` value.
         """
@@ -398,10 +378,9 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 
 
 def free_normals(vectors: Array, free: Mask) -> Array:
-    """Return unit normals (n, 3) along vectors (n, 3), without their prescribed components.
+    """Return unit normals (n, 3) along vectors, without components that are not free (n, dim).
 
-    `free` (n, dim of space) says which components are not prescribed. A vector keeps all of them if
-    its free part is at most `FACING_COSINE` of its length.
+    A vector keeps all of them if its free part is at most `FACING_COSINE` of its length.
     """
     normals = unit(vectors)
     movable = normals.copy()
@@ -413,17 +392,10 @@ def free_normals(vectors: Array, free: Mask) -> Array:
 
 
 def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
-    """Partition the facet corners at each node into smooth patches.
+    """Return the smooth patch (n,) of facet corners (n,), by nodes, and the node of each patch.
 
-    Two corners at one node are in the same patch if their normals differ by at most `EDGE_ANGLE`,
-    or if a chain of such corners connects them. So a fillet is smooth.
-
-    Args:
-        node: (n,) the node of each facet corner, numbered 0, 1, 2, ...
-        normals: (n, 3) unit normals of the facets at the corners.
-
-    Returns:
-        The patch (n,) of each corner, by ascending nodes, and the node (patches,) of each patch.
+    Two corners at one node, which have unit normals (n, 3), are in the same patch if these differ
+    by at most `EDGE_ANGLE`, or if a chain of such corners connects them. So a fillet is smooth.
     """
     corners = np.arange(len(node))
     shape = len(node), int(node.max(initial=-1)) + 1
@@ -440,7 +412,7 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
 def tangents(normals: Array) -> Array:
     """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals (n, d).
 
-    In 3D the first tangent is across the coordinate axis that is farthest from the normal.
+    In 3D the first one is across the coordinate axis that is farthest from the normal.
     """
     if normals.shape[1] == 2:
         return np.stack([-normals[:, 1], normals[:, 0]], axis=1)[:, None]

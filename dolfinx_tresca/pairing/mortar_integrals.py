@@ -64,19 +64,18 @@ class FacetIntegrals:
     """Integrals over the parts of secondary facets that face the primary side.
 
     Attributes:
-        hats: (n, corners, corners) integrals of products of two secondary hat functions, for all
-            secondary facets [length^2, in 2D length].
+        hats: (n, corners, corners) integrals of products of two secondary hat functions [length^2,
+            in 2D length].
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         means: (n, corners, 6) integrals of secondary hat functions times six quantities: the
             distance of the surfaces along the contact normal; the height of the secondary surface
             over its facets (zero if an exact surface is known), and the sum of the heights of both
-            along the contact normal (all heights are zero over facets that coincide); and the three
-            components of the contact normal.
+            along the contact normal (zero over facets that coincide); and the contact normal.
         least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
-        partner: (p, corners, k) integrals of secondary hat functions times primary basis functions
-            over each overlap; for an obstacle, times secondary hat functions.
+        partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
+            overlap; for an obstacle, times secondary hat functions.
     """
 
     hats: Array
@@ -110,21 +109,15 @@ class MortarIntegrals(FacetIntegrals):
         may_meet: Callable[[Indices, Indices], Mask],
         order: SelfContact | None = None,
     ) -> None:
-        """Integrate over the overlaps of facets. Not collective.
+        """Integrate over the overlaps of facets.
 
         In an assembly the normal of a facet meets facets of many bodies, one behind the other. So
         facets of a surface that touches itself are first paired with facets nearby. Only those that
         nearby facets do not fully cover are paired with all facets within the search distance.
 
-        Args:
-            secondary: the secondary side.
-            primary: the primary side.
-            selected: (m,) the secondary facets to integrate over; all other integrals are zero.
-            limit: search distance, beyond which no points are paired [length].
-            may_meet: function that tells of (p,) secondary and (p,) primary facets whether both may
-                be paired, (p,).
-            order: rule that decides which of two facets is secondary on a surface that touches
-                itself (`primary` and `secondary` are then the same side); None for two surfaces.
+        Only the `selected` (m,) secondary facets are integrated over. Points beyond `limit`
+        [length], and facets (p,) for which `may_meet` is false, are not paired. On a surface that
+        touches itself, `order` decides which facet is secondary.
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
@@ -168,18 +161,12 @@ class MortarIntegrals(FacetIntegrals):
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         arrays = zip(*self._overlaps, strict=True)
         self.pairs, self.partner, self.opposite = map(np.concatenate, arrays)
-        # the integrals outlive what they were computed with
-        del self._overlaps, self._pieces, self._partners, self._visibility
-        del self._surface, self._partner_surface
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that face each other and may meet.
 
-        All pairs of a secondary piece are in the same block.
-
-        Args:
-            mine: (m,) secondary pieces to pair, ascending.
-            limit: (pieces,) search distance of each secondary piece [length].
+        All pairs of a secondary piece, of `mine` (m,), ascending, are in the same block; `limit`
+        (pieces,) is the search distance [length].
         """
         for piece, partner in self._pieces.facing(mine, self._partners, limit):
             meets = self._may_meet(self._pieces.facet[piece], self._partners.facet[partner])
@@ -193,16 +180,11 @@ class MortarIntegrals(FacetIntegrals):
     def _integrate(
         self, mine: Indices, partners: Indices, limit: Array, *, covered_only: bool = False
     ) -> Mask:
-        """Add the integrals over pairs of secondary and primary pieces.
+        """Add the integrals over pairs of secondary and primary pieces (pairs,), ascending.
 
-        Args:
-            mine: (pairs,) secondary pieces, ascending; all pairs of each of them.
-            partners: (pairs,) primary pieces.
-            limit: (pieces,) distance beyond which points are not paired [length].
-            covered_only: whether to leave out secondary pieces that are not fully covered.
-
-        Returns:
-            (pieces,) whether these pairs cover a secondary piece fully, whatever the roles are.
+        All pairs of a secondary piece are given, and `limit` (pieces,) is its search distance
+        [length]. With `covered_only` pieces that are not fully covered are left out. Return which
+        pieces (pieces,) these pairs cover fully, whatever the roles are.
         """
         pieces, surface, partner_surface = self._pieces, self._surface, self._partner_surface
         secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
@@ -233,13 +215,9 @@ class MortarIntegrals(FacetIntegrals):
         to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
 
         # weights of points that are seen in either role: not hidden, near, and turned to each other
-        hidden = self._visibility.hidden(
-            mine[pair],
-            simplices.mean(axis=1),
-            start.reshape(-1, count) @ self._weights,
-            end.reshape(-1, count) @ self._weights,
-            partners[pair],
-        )
+        centres = simplices.mean(axis=1)
+        low, high = (side.reshape(-1, count) @ self._weights for side in (start, end))
+        hidden = self._visibility.hidden(mine[pair], centres, low, high, partners[pair])
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
         weight = weights_of_nearest(mine, pair, simplices, size, places, apart, weight, self._area)
         weight = weight * surface.may_touch(
@@ -320,16 +298,13 @@ def obstacle_integrals(
     degree 1, gap and jump are then the nodal values. With degree 2 the distance at nodes on
     straight edges is measured from the smooth curved surface (`SmoothSurface`), since a body of
     degree 2 can take the shape of the obstacle. Where the mesh does not resolve the obstacle, it is
-    also seen between the nodes (`_see_between_nodes`). Only facets that face the obstacle
-    contribute. A warning tells how far an undeformed body is entered unseen, unless it is `moved`.
+    also seen between the nodes (`_see_between_nodes`). A warning tells how far an undeformed body
+    is entered unseen, unless it is `moved`.
 
     Returns:
-        The nodes, with the facets of all patches at one entry of each node, since the patches share
+        the nodes, with the facets of all patches at one entry of each node, since the patches share
         the normal of the obstacle; the integrals; and whether a facet faces the obstacle at its
         corners (n, corners).
-
-    Raises:
-        InputError: the signed distance does not return distances and unit normals.
     """
     facets = nodes.facets
     entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
@@ -387,15 +362,10 @@ def obstacle_integrals(
 def _warn_of_unseen(
     comm: MPI.Comm, pair: ContactPair, depth: Array, seen: Array, turns: Array, extent: float
 ) -> None:
-    """Warn if an obstacle enters facets farther than the mesh sees. Collective.
+    """Warn if an obstacle enters facets (n,) farther than the mesh sees. Collective.
 
-    Args:
-        comm: the communicator.
-        pair: the contact pair.
-        depth: (n,) depth by which the obstacle enters each facet [length].
-        seen: (n,) the part of it that nodes, or means between nodes, see [length].
-        turns: (n,) angle by which the obstacle's normal turns over each facet [rad].
-        extent: largest coordinate of the facets [length].
+    From the depth by which it enters, the part of it that nodes, or means between nodes, see, and
+    the angle by which its normal turns [rad]; `extent` is the largest coordinate [length].
     """
     entered = turns * (depth > 0.0)
     greatest = [array.max(initial=0.0) for array in (depth, depth - seen, entered)]
@@ -436,13 +406,11 @@ def _see_between_nodes(
     touches, and moments are balanced. The height is a part (`SEEN_HEIGHT`) of the height of the
     obstacle over the corners of a facet whose middle it touches: with the nearest point alone,
     bodies are too stiff, and the mean over whole facets is positive though the obstacle enters
-    them. Not collective.
+    them.
 
-    The integrals for the values at nodes are changed in place; `turns` (n,) is the angle by which
-    the obstacle's normal turns over each facet [rad], zero for facets that do not face it.
-
-    Returns:
-        (m,) the facets for which the integrals have changed. Their hat functions count as dual.
+    `turns` (n,) is the angle by which the obstacle's normal turns over each facet [rad], zero for
+    facets that do not face it. The integrals change in place over the facets (m,) that are
+    returned; there, hat functions count as dual.
     """
     facets = nodes.facets
     around = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]

@@ -83,7 +83,7 @@ class PairOperators:
     undeformed: Undeformed
 
     def at_nodes(self, keep: Mask) -> PairOperators:
-        """Return the operators at the nodes in a mask (n,). Not collective."""
+        """Return the operators at the nodes in a mask (n,)."""
         if keep.all():
             return self
         rows, number = keep[self.tangent_node], np.cumsum(keep, dtype=np.int32) - 1
@@ -120,7 +120,7 @@ class PairOperators:
     @property
     def axisymmetric(self) -> bool:
         """Whether areas are areas of rings about the axis x = 0."""
-        return any(facets.axisymmetric for facets in self.undeformed.sides.values())
+        return self.undeformed.sides[0].axisymmetric
 
     @property
     def sizes(self) -> Array:
@@ -147,7 +147,7 @@ class PairOperators:
 
 
 def joined(operators: Sequence[PairOperators]) -> PairOperators:
-    """Return the operators at the nodes of several parts of one group. Not collective."""
+    """Return the operators at the nodes of several parts of one group."""
     changes: dict[str, Any] = {}
     for name in (*NODE_ARRAYS, *TANGENTIAL_ARRAYS):
         arrays = [getattr(pair, name) for pair in operators]
@@ -159,13 +159,7 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
 
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
-    """Return rows (n, dofs) of the jump along unit vectors (n, d).
-
-    Args:
-        jump: (nodes, nodes of V) sparse matrix of the scalar jump.
-        rows: (n,) the row of the scalar jump for each direction.
-        directions: (n, d) unit vectors.
-    """
+    """Return rows (n, dofs) of the jump (nodes, nodes of V) along unit vectors (n, d)."""
     dim, of_rows = directions.shape[1], jump[rows]
     values = np.repeat(directions, np.diff(of_rows.indptr), axis=0) * of_rows.data[:, None]
     columns = of_rows.indices.astype(np.int64)[:, None] * dim + np.arange(dim)
@@ -189,13 +183,9 @@ def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
 
 
 def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) -> PETSc.Mat:
-    """Return a PETSc matrix from this rank's sparse rows with global column numbers. Collective.
+    """Return a PETSc matrix of this rank's sparse rows, in blocks, with global columns. Collective.
 
-    Args:
-        index_map: index map of the columns.
-        block_size: number of columns for each index.
-        blocks: sparse matrices, whose rows follow one another in the result.
-        comm: the communicator.
+    The index map, with `block_size` columns for each index, is that of the columns.
     """
     columns = block_size * index_map.size_local, block_size * index_map.size_global
     return sparse_matrix(vstack(blocks, format="csr"), columns, comm)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -44,16 +44,9 @@ def pair_group(
 ) -> list[PairOperators]:
     """Compute N, T and the gap of pairs, for the present positions of the mesh's nodes. Collective.
 
-    Args:
-        V: vector space of degree 1 or 2.
-        prescribed: (owned dofs,) whether a Dirichlet condition prescribes the degree of freedom.
-        group: the contact pairs.
-        axisymmetric: whether integrals are over rings about the axis x = 0.
-
-    Raises:
-        InputError: tags, obstacle or geometry are wrong.
-        PairingError: the surfaces cannot be paired in the requested way or do not face each other,
-            or all secondary nodes are prescribed.
+    V is a space of vectors of degree 1 or 2; `prescribed` (owned dofs,) tells which degrees of
+    freedom a Dirichlet condition prescribes. If `axisymmetric`, integrals are over rings about the
+    axis x = 0.
     """
     undeformed = Undeformed.from_mesh(V, prescribed, group, axisymmetric=axisymmetric)
     return _pair(V, undeformed, undeformed.sides, moved=False)
@@ -62,37 +55,31 @@ def pair_group(
 def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[PairOperators]:
     """Compute N, T and the gap of pairs in the configuration displaced by u. Collective.
 
-    The gap in the result is the distance between the displaced surfaces. The gap for displacements
-    from the undeformed surfaces is this gap plus N u, with the N in the result. `u` (nodes, dim of
-    space) is the displacement of this rank's nodes [length], from `straightened`.
-
-    Raises:
-        InputError: the signed distance of the obstacle is wrong.
-        PairingError: the displaced surfaces cannot be paired.
+    The gap is the distance between the displaced surfaces; the gap for displacements from the
+    undeformed surfaces is this gap plus N u, with the N in the result. `u` (nodes, dim of space) is
+    the displacement of this rank's nodes [length], from `straightened`.
     """
     return _pair(V, undeformed, undeformed.displaced(V, u), moved=True)
 
 
 def _pair(
-    V: Any, undeformed: Undeformed, sides: Mapping[int, Facets], *, moved: bool
+    V: Any, undeformed: Undeformed, sides: Sequence[Facets], *, moved: bool
 ) -> list[PairOperators]:
     """Compute N, T and the gap of pairs from their facets, see `pair_group`. Collective."""
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
-    owned = sides[pair.secondary]
-    primary = None
+    owned, partners, primary = sides[0], sides[-1], None
     if pair.obstacle is not None:
-        nodes = _surface_nodes(V, pair, "secondary", owned, with_neighbours(V, owned), moved)
+        nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, owned), moved)
         nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, moved)
         shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
-        partners = owned if pair.touches_itself else sides[pair.primary]
         around, across = halos(V, owned, partners, pair.search_limit)
         if pair.touches_itself:
-            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", owned, across, moved)
+            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", across, moved)
         else:
-            nodes = _surface_nodes(V, pair, "secondary", owned, around, moved)
-            primary_nodes = _surface_nodes(V, pair, "primary", partners, across, moved)
+            nodes = _surface_nodes(V, pair, "secondary", around, moved)
+            primary_nodes = _surface_nodes(V, pair, "primary", across, moved)
         facets, primary = nodes.facets, primary_nodes.facets
 
         def may_meet(facet: Indices, partner: Indices) -> Mask:
@@ -108,7 +95,7 @@ def _pair(
             if order is not None:
                 shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
         if order is not None:
-            shared = owners_flags(V, nodes, shared)
+            shared = owners_flags(V, nodes.numbers, shared)
         carries = corners_that_carry(V, nodes, integrals, shared)
     group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved)
     if pair.pairing == "nodes" and primary is not None and not moved:
@@ -134,12 +121,9 @@ def _check_meshes_match(
 ) -> None:
     """Check that the means over both sides have equal weights, as on matching meshes. Collective.
 
-    The means are over one node on each side then, and over equal nodes with degree 2. The
-    difference of the sums of their squares is one to two times the distance of the nodes along the
-    surface, relative to the size of a facet.
-
-    Raises:
-        PairingError: secondary nodes face the primary side away from its nodes.
+    They are over one node on each side then, and over equal nodes with degree 2. The difference of
+    the sums of their squares is one to two times the distance of the nodes along the surface,
+    relative to the size of a facet.
     """
     differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
     apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
@@ -157,25 +141,14 @@ def _check_meshes_match(
 
 
 def _surface_nodes(
-    V: Any, pair: ContactPair, side: SideName, owned: Facets, halo: Facets, moved: bool
+    V: Any, pair: ContactPair, side: SideName, halo: Facets, moved: bool
 ) -> SurfaceNodes:
-    """Return the nodes of this rank's facets on one side. Collective.
+    """Return the nodes of the facets on a side that this rank pairs. Collective.
 
     The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
     there. Coincident nodes have the same coordinates and are sent to the same rank, which counts
     them. Nodes that also belong to facets with other tags, such as coincident corners of adjacent
     bricks, and surfaces that touch themselves, are not checked.
-
-    Args:
-        V: the space of the displacement.
-        pair: the contact pair.
-        side: the name of the side.
-        owned: the facets of the side that this rank owns.
-        halo: these facets, and those of other ranks that the pairing depends on.
-        moved: whether the surface is displaced.
-
-    Raises:
-        PairingError: an owned node has no normal.
     """
     comm = V.mesh.comm
     with errors_on_all_ranks(comm):
@@ -190,7 +163,7 @@ def _surface_nodes(
             )
     if moved or pair.touches_itself:
         return nodes
-    size = np.linalg.norm(np.ptp(owned.points, axis=1), axis=1)
+    size = np.linalg.norm(np.ptp(halo.points, axis=1), axis=1)
     smallest = reduce_array(comm, size.min(initial=np.inf), MPI.MIN)
     tags = pair.facet_tags
     outside = tags.indices[tags.values != getattr(pair, side)]

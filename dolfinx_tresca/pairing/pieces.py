@@ -20,13 +20,7 @@ from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cross, dots
 from dolfinx_tresca._base.parallel import exchange, gather_rows
-from dolfinx_tresca.pairing.facets import (
-    FACET_ARRAYS,
-    FACING_COSINE,
-    Facets,
-    SurfaceNodes,
-    frames_along,
-)
+from dolfinx_tresca.pairing.facets import FACET_ARRAYS, FACING_COSINE, Facets, frames_along
 
 #: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
 #: times as many, and of points and what may hide them 50 times as many.
@@ -42,17 +36,6 @@ CREDIBLE_PART = 0.1
 PARALLEL = 1e-30
 
 
-def expanded_ranges(starts: Indices, numbers: Indices) -> tuple[Indices, Indices]:
-    """Concatenate the integer ranges starts[i], ..., starts[i] + numbers[i] - 1.
-
-    Returns:
-        The index i (m,) of the range of each member, and the members (m,).
-    """
-    owner = np.repeat(np.arange(len(numbers)), numbers)
-    offsets = np.cumsum(numbers) - numbers
-    return owner, np.arange(len(owner)) + (starts - offsets)[owner]
-
-
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
     """Concatenate lists; return the index (m,) of each member's list, and the members (m,)."""
     counts = np.fromiter(map(len, lists), dtype=np.intp, count=len(lists))
@@ -60,26 +43,14 @@ def flattened(lists: Sequence[Sequence[int]]) -> tuple[Indices, Indices]:
     return np.repeat(np.arange(len(lists)), counts), together
 
 
-def blocks(count: int) -> Iterator[slice]:
-    """Yield slices of 0, ..., count - 1 with at most `AT_ONCE` members each."""
-    for start in range(0, count, AT_ONCE):
-        yield slice(start, min(start + AT_ONCE, count))
-
-
 def line_intervals(
     box: Array, origins: Array, directions: Array, reach: Array
 ) -> tuple[Array, Array]:
-    """Intersect lines with a box (2, 3), widened on all sides by the reach of each line.
+    """Intersect lines with a box (2, 3), widened on all sides by the reach (n,) of each line.
 
-    Args:
-        box: the least and the greatest coordinates [length].
-        origins: (n, 3) the point of each line whose parameter is 0 [length].
-        directions: (n, 3) unit vectors along the lines.
-        reach: (n,) distance by which the box is widened for each line [length].
-
-    Returns:
-        The parameters (n,) at which the lines enter the box and leave it [length]; the first one is
-        the greater one if a line misses the box.
+    The lines have origins (n, 3) and unit directions (n, 3). Return the parameters (n,) at which
+    they enter and leave the box [length]; the first one is the greater one if a line misses the
+    box.
     """
     # a line that is parallel to a side of the box meets its plane far away
     slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
@@ -131,16 +102,10 @@ class Pieces:
         along = points[:, facets.dim] - points[:, 0]
         across = points[:, -1] - points[:, 1] if facets.dim == 2 else np.array([0.0, 0.0, 1.0])
         vectors = cross(along, across) / facets.dim
-        areas = np.linalg.norm(vectors, axis=1)
-        return cls(
-            facet,
-            nodes,
-            points,
-            centres,
-            np.linalg.norm(points - centres[:, None], axis=2).max(axis=1),
-            np.asarray(vectors / (facets.outward[facet] * areas)[:, None]),
-            np.asarray(areas),
-        )
+        areas: Array = np.linalg.norm(vectors, axis=1)
+        normals: Array = vectors / (facets.outward[facet] * areas)[:, None]
+        radii = np.linalg.norm(points - centres[:, None], axis=2).max(axis=1)
+        return cls(facet, nodes, points, centres, radii, normals, areas)
 
     @cached_property
     def frames(self) -> Array:
@@ -150,10 +115,7 @@ class Pieces:
 
     @cached_property
     def _trees(self) -> list[tuple[Indices, Any]]:
-        """The pieces with radii between two powers of two, and a tree of their centres, for each.
-
-        So large pieces do not widen the search for small ones.
-        """
+        """The pieces of each size, between two powers of two, and a tree of their centres."""
         _, exponent = np.frexp(self.radii)
         classes = [np.flatnonzero(exponent == size) for size in np.unique(exponent)]
         return [(members, cKDTree(self.centres[members])) for members in classes]
@@ -164,17 +126,12 @@ class Pieces:
         """Find the pieces that given balls may meet if they move along their normals.
 
         The balls that enclose the pieces are met. The search advances along a line as far as the
-        distance to the nearest of them allows. The work is proportional to the number of moving
-        balls times the logarithm of this distance.
+        distance to the nearest of them allows: the work is proportional to the number of lines
+        times the logarithm of this distance.
 
-        Args:
-            centres: (n, 3) centres of the moving balls [length].
-            normals: (n, 3) unit normals of the moving balls.
-            radii: (n,) radii of the moving balls [length].
-            limit: (n,) search distance both ways [length]; pieces slightly beyond may be met, too.
-
-        Returns:
-            The moving ball (m,) of each pair, ascending, and the piece (m,) that it meets.
+        The moving balls have centres (n, 3), unit normals (n, 3), radii (n,) and search distances
+        (n,) both ways [length]; pieces slightly beyond may be met, too. Return the moving ball (m,)
+        of each pair, ascending, and the piece (m,) that it meets.
         """
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
@@ -211,22 +168,18 @@ class Pieces:
         """Yield pairs of chosen pieces, ascending, and partners along their normals, in blocks.
 
         The normals of both are opposed. All pairs of a piece are in one block; `limit` (pieces,) is
-        the search distance of each piece [length].
+        the search distance [length].
         """
-        for block in blocks(len(chosen)):
-            own = chosen[block]
-            line, partner = partners.on_normals(
-                self.centres[own], self.normals[own], self.radii[own], limit[own]
-            )
+        for start in range(0, len(chosen), AT_ONCE):
+            own = chosen[start : start + AT_ONCE]
+            balls = self.centres[own], self.normals[own], self.radii[own], limit[own]
+            line, partner = partners.on_normals(*balls)
             piece = own[line]
             opposed = dots(self.normals[piece], partners.normals[partner]) < -FACING_COSINE
             yield piece[opposed], partner[opposed]
 
     def local_coordinates(self, piece: Indices, points: Array) -> Array:
-        """Return the coordinates (n, k, dim + 1) of points (n, k, 3) in the frames of pieces (n,).
-
-        The origin is the centre of the piece; the last coordinate is the height over its plane.
-        """
+        """Return points (n, k, 3) in the frames of pieces (n,), from their centres."""
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
 
@@ -265,10 +218,9 @@ def owns(V: Any, nodes: GlobalNumbers) -> Mask:
     return np.asarray((nodes >= low) & (nodes < high))
 
 
-def owners_flags(V: Any, nodes: SurfaceNodes, flags: Mask) -> Mask:
+def owners_flags(V: Any, nodes: GlobalNumbers, flags: Mask) -> Mask:
     """Return for each node its owner's flag (n,); the owner has all facets at it. Collective."""
-    flagged = nodes.numbers[flags & owns(V, nodes.numbers)]
-    return np.isin(nodes.numbers, gather_rows(V.mesh.comm, flagged))
+    return np.isin(nodes, gather_rows(V.mesh.comm, nodes[flags & owns(V, nodes)]))
 
 
 def at_own_nodes(V: Any, facets: Facets) -> Indices:
@@ -295,15 +247,8 @@ def near_lines(
 ) -> Facets:
     """Return this rank's facets and those of all ranks that are close to lines. Collective.
 
-    See `Pieces.on_normals`. Lines without length are points.
-
-    Args:
-        comm: the communicator.
-        owned: the facets that this rank owns.
-        points: (n, 3) a point of each line [length].
-        directions: (n, 3) unit vectors along the lines.
-        reach: (n,) distance within which facets are close [length].
-        length: length of the lines both ways from their points [length], a number or (n,).
+    Lines have a point (n, 3), a unit direction (n, 3), a reach (n,) within which facets are close,
+    and a length, a number or (n,), both ways [length]; without length they are points.
     """
     if comm.size == 1:
         return owned
@@ -322,7 +267,8 @@ def near_lines(
     lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
     lines, source = exchange(comm, lines, ranks)
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
-    for block in blocks(len(lines)):
+    for start in range(0, len(lines), AT_ONCE):
+        block = slice(start, start + AT_ONCE)
         line, piece = pieces.on_normals(
             lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
         )
@@ -332,10 +278,7 @@ def near_lines(
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
-    """Send facets (n,) of this rank to ranks (n,). Collective.
-
-    The result has the facets that this rank owns, and those that were sent to it.
-    """
+    """Return the facets that this rank owns or gets; send facets (n,) to ranks. Collective."""
     arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
     count = len(owned.points)
     kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
@@ -352,7 +295,7 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
 def with_neighbours(V: Any, owned: Facets) -> Facets:
     """Return all facets at this rank's nodes and two rings around them. Collective.
 
-    A ring are all facets at the corners of facets: `SmoothSurface` depends on two of them.
+    A ring are all facets at the corners of facets: `SmoothSurface` depends on two.
     """
     mine = Pieces.from_facets(facets_at_own_nodes(V, owned))
     reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
@@ -362,10 +305,9 @@ def with_neighbours(V: Any, owned: Facets) -> Facets:
 def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Facets, Facets]:
     """Return all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides that lie along the normals of the rank's facets; if facets of
-    the rank penetrate the primary side, the primary facets near them; and two rings of facets
-    around paired facets, see `with_neighbours`. The facets that this rank owns are given; `limit`
-    is the search distance, beyond which no points are paired [length].
+    These are the facets of both sides along the normals of the rank's facets; if these penetrate,
+    the primary facets near them; and two rings around paired facets, see `with_neighbours`. The
+    facets that this rank owns are given, and the search distance [length].
     """
     comm = V.mesh.comm
     if comm.size == 1:

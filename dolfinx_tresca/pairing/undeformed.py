@@ -84,11 +84,7 @@ class PairGroup:
 
     @classmethod
     def from_pairs(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
-        """Return the group of some pairs. Not collective.
-
-        Raises:
-            InputError: the pairs differ in their `facet_tags`, or in an argument of `COMMON`.
-        """
+        """Return the group of some pairs with equal `facet_tags` and arguments `COMMON`."""
         pattern = pairs[0]
         for pair in pairs[1:]:
             differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
@@ -125,10 +121,7 @@ class PairGroup:
         return cls(tuple(numbers), tuple(pairs), surfaces, pair_of_tags, rank.ravel())
 
     def owners(self, shares: Array) -> Indices:
-        """Return for each node (n,) the index of the pair that has its multiplier.
-
-        `shares` (n, pairs) are the parts of the nodes' areas that belong to each pair.
-        """
+        """Return the pair (n,) that has each node's multiplier, by the area (n, pairs) in each."""
         belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         strongest = np.where(belongs, self.rank, -1).max(axis=1, keepdims=True)
         return np.asarray(np.argmax(self.rank == strongest, axis=1))
@@ -160,7 +153,7 @@ def _same(pair: ContactPair, second: ContactPair) -> bool:
 def _strength(law: Friction) -> tuple[int, float, float]:
     """Return the kind of a law, its coefficient and its constant bound, in ascending order.
 
-    A coefficient or bound that is no number and no Constant counts as 0.
+    Bounds that are neither numbers nor Constants count as 0.
     """
     if not isinstance(law, DryFriction):
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
@@ -175,9 +168,6 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     """Return the pairs in groups: pairs that share secondary nodes and a primary body. Collective.
 
     Surfaces that touch themselves are groups of their own.
-
-    Raises:
-        InputError: pairs that must be paired together differ in an argument that must be the same.
     """
     single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([pair.obstacle is None for pair in pairs])
@@ -199,7 +189,7 @@ def _shared(
 ) -> Mask:
     """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
-    Only the pairs in `compared` (pairs,), whose side is deformable, are compared: by the bodies of
+    Only pairs in `compared` (pairs,), whose side is deformable, are compared: by the bodies of
     their nodes if these have a label (nodes of V,), else by the nodes.
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
@@ -222,61 +212,42 @@ class Undeformed:
 
     Attributes:
         group: the pairs, which are paired together.
-        sides: tag -> facets of a side, the secondary side first. There is only one side if the
+        sides: the facets of each side, the secondary side first. There is only one side if the
             primary side is a rigid obstacle, or if the surface touches itself.
     """
 
     group: PairGroup
-    sides: dict[int, Facets]
+    sides: Sequence[Facets]
 
     @classmethod
     def from_mesh(
         cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
     ) -> Undeformed:
-        """Extract the surfaces; for arguments and errors see `pair_group`. Collective."""
+        """Extract the surfaces; for arguments see `pair_group`. Collective."""
         pair = group.surfaces
-        sides: dict[int, Facets] = {}
-        for name in _deformable_sides(pair):
-            facets = tagged_facets(V, prescribed, pair, name)
-            sides[getattr(pair, name)] = replace(facets, axisymmetric=axisymmetric)
-        sides = with_offsets(V, pair, sides)
+        names = SIDES[:1] if pair.touches_itself or pair.obstacle is not None else SIDES
+        sides = [tagged_facets(V, prescribed, pair, name) for name in names]
+        sides = [replace(facets, axisymmetric=axisymmetric) for facets in sides]
+        if pair.obstacle is None:
+            sides = with_offsets(V, pair, sides)
         if pair.touches_itself:
-            facets = sides[pair.secondary]
-            sides = {pair.secondary: replace(facets, origins=facet_origins(V, facets))}
+            sides = [replace(sides[0], origins=facet_origins(V, sides[0]))]
         return cls(group, sides)
 
-    def displaced(self, V: Any, u: Array) -> dict[int, Facets]:
-        """Return tag -> displaced facets of each side that this rank owns. Collective.
-
-        `u` (nodes, dim of space) is the displacement of this rank's nodes [length].
-
-        Raises:
-            PairingError: displaced facets have no area.
-        """
-        result = {}
-        for (tag, facets), name in zip(self.sides.items(), SIDES, strict=False):
+    def displaced(self, V: Any, u: Array) -> list[Facets]:
+        """Return this rank's facets of each side, moved by u (nodes, dim) [length]. Collective."""
+        result = []
+        for facets, name in zip(self.sides, SIDES, strict=False):
             node = V.dofmap.index_map.global_to_local(facets.nodes.ravel())
             points = facets.points.copy()
             points[:, :, : u.shape[1]] += u[node.reshape(facets.nodes.shape)]
             moved = facets.moved_to(points)
-            result[tag] = with_checked_areas(V.mesh.comm, moved, self.group.surfaces, name)
+            result.append(with_checked_areas(V.mesh.comm, moved, self.group.surfaces, name))
         return result
 
 
-def _deformable_sides(pair: ContactPair) -> tuple[SideName, ...]:
-    """Return the names of the sides of a pair that have facets of their own."""
-    return SIDES[:1] if pair.touches_itself or pair.obstacle is not None else SIDES
-
-
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return the facets of a deformable side that this rank owns. Collective.
-
-    `prescribed` (owned dofs,) tells which degrees of freedom a Dirichlet condition prescribes.
-
-    Raises:
-        InputError: no facet has one of the tags.
-        PairingError: facets are inside a body, or have no area.
-    """
+    """Return the facets of a deformable side that this rank owns; see `pair_group`. Collective."""
     mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
     comm, dim = mesh.comm, mesh.topology.dim - 1
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
@@ -338,11 +309,7 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Check the areas of a side's facets; return them with `bent` set for all ranks. Collective.
-
-    Raises:
-        PairingError: a facet has no area.
-    """
+    """Check the areas of a side's facets; return them with `bent` set for all ranks. Collective."""
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
     # a facet of a surface is compared with its own diameter squared; the length of a facet of a
@@ -359,31 +326,27 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
     return replace(facets, bent=bool(bent))
 
 
-def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[int, Facets]:
-    """Return tag -> facets of a pair, with their `Facets.offsets`. Collective.
+def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]:
+    """Return the facets of a pair with their `Facets.offsets`. Collective.
 
     The projections of `pair.geometry`, or else of the geometry that the pair's tags know, are
-    evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. Without projections the sides are
-    returned unchanged. If a geometry that the user did not give fails, a warning is logged, and all
-    sides are returned unchanged.
-
-    Raises:
-        InputError: a projection fails, or facets are not on their surface.
-        MeshError: Gmsh cannot read the geometry file any more.
+    evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. Without projections, and with a
+    warning if a geometry fails that the user did not give, the sides are returned unchanged.
     """
     geometry, limit = pair.geometry, FAR_CORNER
     if geometry is None:
         geometry, limit = getattr(pair.facet_tags, "geometry", None), ON_SURFACE
     curved = geometry.curved if isinstance(geometry, GmshGeometry) else geometry or {}
-    tags_of_sides = [pair.given_tags(name)[1] for name in _deformable_sides(pair)]
-    if pair.obstacle is not None or curved.keys().isdisjoint(chain.from_iterable(tags_of_sides)):
+    tags_of_sides = [pair.given_tags(name)[1] for name in SIDES]
+    if curved.keys().isdisjoint(chain.from_iterable(tags_of_sides)):
         return sides
-    result = {}
     try:
         with errors_on_all_ranks(V.mesh.comm), open_geometry(geometry or {}) as surfaces:
-            for (side, facets), tags in zip(sides.items(), tags_of_sides, strict=True):
-                offsets = _offsets_of_tags(facets, tags, surfaces, V.mesh.geometry.dim, limit)
-                result[side] = replace(facets, offsets=offsets)
+            dim = V.mesh.geometry.dim
+            return [
+                replace(facets, offsets=_offsets_of_tags(facets, tags, surfaces, dim, limit))
+                for facets, tags in zip(sides, tags_of_sides, strict=False)
+            ]
     except (InputError, MeshError) as error:
         if pair.geometry is not None:
             raise
@@ -396,7 +359,6 @@ def with_offsets(V: Any, pair: ContactPair, sides: dict[int, Facets]) -> dict[in
             about=str(pair),
         )
         return sides
-    return result
 
 
 def _offsets_of_tags(
@@ -406,13 +368,9 @@ def _offsets_of_tags(
     dim: int,
     limit: float,
 ) -> Array:
-    """Return the `Facets.offsets` of facets to the known surfaces of their tags. Not collective.
+    """Return the `Facets.offsets` of facets to the known surfaces of their tags.
 
     `limit` is the largest distance of a corner from its surface, relative to the size of the facet.
-
-    Raises:
-        InputError: a projection fails, or facets are not on their surface.
-        MeshError: Gmsh cannot read the geometry file any more.
     """
     count = len(facets.lagrange_points(OFFSET_DEGREE))
     result = np.full((len(facets.points), count, 3), np.nan)
@@ -436,10 +394,10 @@ def _offsets_of_tags(
 
 
 def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -> Array:
-    """Return the `Facets.offsets` of facets by projection onto their surface. Not collective.
+    """Return the `Facets.offsets` of facets by projection onto their surface.
 
     A facet belongs to the piece of the surface that is nearest to its corners; of pieces that all
-    corners are on, to the one that is nearest to its centre. So a facet at an edge is not projected
+    corners are on, to the one that is nearest to its centre: a facet at an edge is not projected
     onto the surface beyond the edge.
     """
     points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
@@ -465,11 +423,10 @@ def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -
 
 
 def straightened(V: Any, u: Array) -> Array:
-    """Return u without the part that would bend edges beyond the degree of the mesh's geometry.
+    """Return u (nodes, dim) without what would bend edges beyond the degree of the geometry.
 
-    If V has a higher degree than the geometry, each node that is not at a vertex is moved by the
-    mean displacement of the vertices of its edge, face or cell; else the result is u: (nodes, dim
-    of space) the displacement of this rank's nodes [length]. Not collective.
+    If V has a higher degree, each node that is not at a vertex is moved by the mean displacement of
+    the vertices of its edge, face or cell [length].
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):

@@ -22,7 +22,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.facets import FACING_COSINE, MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
-from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces, expanded_ranges, flattened
+from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces, flattened
 
 #: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
 #: surfaces penetrate each other by a part of their size.
@@ -93,9 +93,8 @@ class Visibility:
             return result
         reach = np.maximum(np.abs(start), np.abs(end))[apart]
         for own in (True, False):
-            for crossing, facet, height, outward in self._crossings(
-                own, piece[apart], places[apart], reach
-            ):
+            crossings = self._crossings(own, piece[apart], places[apart], reach)
+            for crossing, facet, height, outward in crossings:
                 point = apart[crossing]
                 gap = end[point] > start[point]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
@@ -113,20 +112,13 @@ class Visibility:
     def _crossings(
         self, own: bool, piece: Indices, places: Array, reach: Array
     ) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
-        """Yield where normals of secondary pieces cross facets of one side, in blocks.
+        """Yield where normals of pieces cross facets of their own or of the other side, in blocks.
 
-        Facets that hide nothing, and in general those beyond reach, are left out (`_may_hide`).
-
-        Args:
-            own: whether the facets are on the secondary side.
-            piece: (n,) the secondary piece of each normal, ascending.
-            places: (n, d) points where the normal meets the plane of the piece, see `hidden`.
-            reach: (n,) largest distance from the plane at which a crossing matters [length].
-
-        Yields:
-            The normals (m,) that cross a facet; the facets (m,), as pieces of their side; the
-            heights (m,) of the crossings over the planes [length]; and whether both normals point
-            to the same side of the plane (m,).
+        Facets that hide nothing, and in general those beyond reach, are left out (`_may_hide`). For
+        `piece` (n,) and `places` (n, d) see `hidden`; `reach` (n,) is the largest distance from the
+        plane at which a crossing matters [length]. Yield the normals (m,) that cross a facet; the
+        facets (m,), as pieces of their side; the heights (m,) of the crossings over the planes
+        [length]; and whether both normals point to the same side of the plane (m,).
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
@@ -142,8 +134,10 @@ class Visibility:
         pairs = np.cumsum(counts[line])
         blocks = np.flatnonzero(np.diff(pairs // (50 * AT_ONCE))) + 1
         for block in np.split(np.arange(len(line)), blocks):
-            row, point = expanded_ranges(starts[line[block]], counts[line[block]])
-            row = block[row]
+            numbers = counts[line[block]]
+            row = np.repeat(block, numbers)
+            ahead = starts[line[block]] + numbers - np.cumsum(numbers)
+            point: Indices = np.arange(len(row)) + np.repeat(ahead, numbers)
             around = corners[row, :, :-1] - places[point][:, None]
             crosses = _around_origin(around)
             row, point, middle = row[crosses], point[crosses], around[crosses].mean(axis=1)
@@ -154,9 +148,9 @@ class Visibility:
     def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
         """Return whether facets (n,) of one side may hide points of the pieces (n,) below them.
 
-        Segments end at primary facets whose normals are opposed, so these hide nothing. Of the
-        secondary side the piece itself, and facets in its plane, hide nothing; nor do facets with a
-        common node and a similar normal, which a segment crosses at its own start.
+        Segments end at primary facets whose normals are opposed, so these hide nothing. Nor do, of
+        the secondary side, the piece itself, facets in its plane, and facets with a common node and
+        a similar normal, which a segment crosses at its own start.
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         normal, their_normal = pieces.normals[piece], side.normals[facet]
@@ -178,8 +172,8 @@ class Visibility:
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
         """Return whether points (n,) penetrate far more than their distance from the primary side.
 
-        This is so if the distance is less than `CREDIBLE_PART` times the penetration. On a surface
-        that touches itself only other bodies count. For the arguments see `hidden`.
+        This is so if the distance is less than `CREDIBLE_PART` times the penetration; of a surface
+        that touches itself only other bodies count. For arguments see `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -213,16 +207,9 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
     Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
-    the order of the corners.
-
-    Args:
-        own: (n, a, d) corners of segments (d = 1, a = 2) or convex polygons (d = 2), in either
-            order.
-        partners: (n, b, d) corners of the partners of the same kind.
-
-    Returns:
-        The simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their pair,
-        ascending. Pairs with an empty intersection have no simplices.
+    the order of the corners: (n, a, d) and (n, b, d) of segments (d = 1) or convex polygons (d =
+    2). Return the simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their
+    pair, ascending.
     """
     low = np.maximum(own.min(axis=1), partners.min(axis=1))
     high = np.minimum(own.max(axis=1), partners.max(axis=1))
@@ -253,10 +240,10 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     """Return the part (n, c, 2) of each convex polygon on the left of its line.
 
-    The line goes through `start` (n, 2) in the direction `along` (n, 2). The result has the largest
-    number c of corners (Sutherland and Hodgman 1974): polygons with fewer corners repeat their last
-    one, and all corners of an empty polygon are equal. If corners coincide up to rounding, a
-    polygon may cross its line more than twice; all crossings are kept.
+    The line goes through `start` (n, 2) along (n, 2). The result has the largest number c of
+    corners (Sutherland and Hodgman 1974); polygons with fewer repeat their last one, and all
+    corners of an empty polygon are equal. If corners coincide up to rounding, a polygon may cross
+    its line more than twice; all crossings are kept.
     """
     n, a, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -292,9 +279,8 @@ def weights_of_nearest(
 ) -> Array:
     """Set the weights of quadrature points to zero where a nearer simplex covers the point.
 
-    The overlap of each pair of pieces is cut into simplices, each with the same number of
-    quadrature points. Where simplices of two pairs overlap, that with the smaller mean |gap|
-    counts.
+    Each simplex has the same number of points. Where simplices of two pairs overlap, that with the
+    smaller mean |gap| counts.
 
     Args:
         piece: (pairs,) the secondary piece of each pair, ascending.
@@ -339,19 +325,11 @@ def weights_of_nearest(
 class SelfContact:
     """Data that decide which facet of a surface that touches itself is the secondary one.
 
-    Attributes:
-        body: (n,) the body of each facet.
-        size: (n,) mean size of all facets of the facet's body [length].
-        centre: (n, 3) centre of the facet in the undeformed mesh [length].
-        normal: (n, 3) outward unit normal in the undeformed mesh.
-        radius: (n,) radius of the facet in the undeformed mesh [length].
-        corners: (n, corners) global numbers of the corners.
-        place: (n, 3) centre in the present configuration [length].
-        present_normal: (n, 3) outward unit normal in the present configuration.
+    They are the columns of `Facets.origins`, with the centre and normal in the undeformed mesh; and
+    the corners (n, corners), the `place` (n, 3) of the centre and the `present_normal` (n, 3) now.
     """
 
     def __init__(self, facets: Facets) -> None:
-        """Take the data from the present corners of facets and their `origins`. Not collective."""
         columns = np.split(facets.origins, [1, 2, 5, 8], axis=1)
         body, size, self.centre, self.normal, radius = columns
         self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
@@ -371,8 +349,8 @@ class SelfContact:
         a crack also share corners at its tip, but face each other. Two facets are the faces of a
         wall if each is behind the other, deeper than facets of curved surfaces penetrate each other
         (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than touching
-        lips (`NEGLIGIBLE`). This must be so both in the undeformed mesh and in the present
-        configuration, and the present depth must exceed `WALL_PART` of the undeformed depth.
+        lips (`NEGLIGIBLE`), both in the undeformed mesh and in the present configuration, whose
+        depth must also exceed `WALL_PART` of the undeformed one.
         """
         f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
@@ -387,8 +365,8 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
         For facets of two bodies see `is_secondary_body`. If two facets of one body face each other
-        in the undeformed mesh, as in a slit or a ring, the facet whose normal points along `ORDER`
-        is secondary; otherwise, as on a folded sheet, the facet that comes first in this direction.
+        in the undeformed mesh, as in a slit or a ring, it is the facet whose normal points along
+        `ORDER`; otherwise, as on a folded sheet, the facet that comes first in this direction.
         """
         f, g = facet, partner
         of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
@@ -418,7 +396,8 @@ def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices)
 def facet_origins(V: Any, facets: Facets) -> Array:
     """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
 
-    The columns are body, size, centre, normal and radius, as in `SelfContact`.
+    The columns are the body, the mean size of its facets [length], and the facet's centre (3)
+    [length], outward unit normal (3) and radius [length].
     """
     comm = V.mesh.comm
     labels = label_bodies(V)
@@ -434,18 +413,16 @@ def facet_origins(V: Any, facets: Facets) -> Array:
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
-    """Return the nodes (n,) whose jump another node already constrains. Not collective.
+    """Return the nodes (n,) whose jump another node already constrains.
 
     Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
     secondary on one facet and primary on the next. Both would have the same jump: only the node
     that comes first in the mesh file has a multiplier, and the second node is returned. A node that
-    is opposite to itself, such as the tip of a crack, has no jump, and is returned. The result is
-    valid for nodes whose facets are all on this rank.
+    is opposite to itself, such as the tip of a crack, has no jump, and is returned. Valid for nodes
+    whose facets are all on this rank.
 
-    Args:
-        nodes: the nodes of the surface.
-        paired: (p, 2) pairs of a secondary and a primary facet that overlap.
-        opposite: (q, 2) pairs of facets that see each other with exchanged roles.
+    Facets overlap as pairs (p, 2) of a secondary and a primary one, `opposite` (q, 2) with
+    exchanged roles.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 

@@ -33,13 +33,7 @@ VectorField: TypeAlias = (
 
 
 def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
-    """Check the type and the shape of a field; other values than NaN are checked at nodes.
-
-    The shape is () for a scalar, (3,) for a vector; the name is that of the quantity in messages.
-
-    Raises:
-        InputError: the value has another shape, is complex or NaN, or has no value at nodes.
-    """
+    """Check the type and shape, () or (3,), of a field, whose values are checked at nodes."""
     field = value.ufl_expression if isinstance(value, fem.Expression) else value
     if isinstance(field, Expr):
         _check_expression(field, shape, name)
@@ -60,12 +54,7 @@ def invalid(number: float) -> str:
 
 
 def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
-    """Check that a UFL expression has a shape, is real, and has a single value at each node.
-
-    Raises:
-        InputError: the expression has another shape or free indices, or it contains a part that is
-            not float64 or not continuous, or a trial or test function.
-    """
+    """Check that a UFL expression has a shape, is real, and has a single value at each node."""
     if expression.ufl_shape != shape or expression.ufl_free_indices:
         kind = "a vector of three components" if shape else "a scalar"
         free = " and free indices" * bool(expression.ufl_free_indices)
@@ -139,11 +128,7 @@ class FrictionCurve:
         return not np.array_equal(F, np.broadcast_to(F[:, :1], F.shape), equal_nan=True)
 
     def values(self, pressure: Array, slip: Array) -> Array:
-        """Return F (n,) at pressures (n,) [stress] and slips (n,) [length].
-
-        Raises:
-            InputError: the function returns neither a number nor a number for each node.
-        """
+        """Return F (n,) at pressures (n,) [stress] and slips (n,) [length]."""
         result, number = self.function(pressure, slip), len(pressure)
         values = np.asarray(result)
         if values.shape not in ((), (number,)) or values.dtype.kind not in "biuf":
@@ -154,11 +139,7 @@ class FrictionCurve:
         return np.broadcast_to(values.astype(np.float64), (number,))
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
-        """Return difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
-
-        Raises:
-            InputError: a function returns neither a number nor a number for each node.
-        """
+        """Return difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length]."""
         low, high = 1.0 - DIFFERENCE, 1.0 + DIFFERENCE
         dp, dv = high * pressure - low * pressure, high * slip - low * slip
         change_with_p = self.values(high * pressure, slip) - self.values(low * pressure, slip)
@@ -205,8 +186,8 @@ class BoundTerms:
     """A slip bound c + min(F p, l), where p is the contact pressure.
 
     If there is a direction, the bound is an ellipse, and one of the three terms is a pair of
-    values, along the direction and across it. The ratio of these two values is the ratio of the
-    semi-axes, and the longer semi-axis is c + min(F p, l) with the larger value.
+    values, along the direction and across it. Their ratio is that of the semi-axes, and the longer
+    semi-axis is c + min(F p, l) with the larger value.
 
     Attributes:
         constant: c >= 0 [stress].
@@ -225,11 +206,7 @@ class BoundTerms:
 
 
 class Friction:
-    """Base class of all laws of a contact pair.
-
-    Attributes:
-        constant_name: name of `terms.constant`, for error messages.
-    """
+    """Base class of all laws of a contact pair; messages call `terms.constant` `constant_name`."""
 
     constant_name: ClassVar[str] = "the slip bound"
 
@@ -406,12 +383,7 @@ class Coulomb(DryFriction):
 
 
 def _check_bound(bound: Any, direction: VectorField | None, name: str) -> None:
-    """Check the type of one bound, or of two bounds and their direction.
-
-    Raises:
-        InputError: `direction` is missing for two bounds, or given for one bound; see also
-            `check_field`.
-    """
+    """Check the type of one bound, or of two bounds and their direction."""
     values = bound if isinstance(bound, tuple) else (bound,)
     if len(values) != (1 if direction is None else 2):
         given = "no direction" if direction is None else "a direction"

@@ -27,11 +27,7 @@ UNITS = {"mm": "MM", "cm": "CM", "m": "M", "um": "UM", "km": "KM", "in": "INCH",
 
 @contextmanager
 def gmsh_session() -> Iterator[Any]:
-    """Yield the initialised gmsh module; a session that the user has opened keeps its models.
-
-    Raises:
-        MeshError: the Python package gmsh cannot be imported.
-    """
+    """Yield the initialised gmsh module; a session that the user has opened keeps its models."""
     try:
         import gmsh
     except (ImportError, OSError) as error:
@@ -70,18 +66,10 @@ def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
 
 
 def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: str = "mm") -> None:
-    """Open a file in Gmsh.
+    """Open a file with one of `SUFFIXES` in Gmsh.
 
-    Args:
-        gmsh: the module, in a session.
-        path: path of the file, with one of `SUFFIXES`.
-        parameters: values of names that a `.geo` file declares with `DefineConstant`.
-        unit: unit of length of the coordinates, for STEP and IGES files.
-
-    Raises:
-        InputError: the suffix is none of `SUFFIXES`, or the unit none of `UNITS`; or a parameter is
-            not a finite number, or is overwritten by the file.
-        MeshError: the file does not exist, or Gmsh cannot read it.
+    `parameters` are values of names that a `.geo` file declares with `DefineConstant`, `unit` is
+    the unit of length of the coordinates, for STEP and IGES files.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -189,15 +177,12 @@ class GmshGeometry:
 def curved_groups(model: Any) -> dict[int, tuple[int, ...]]:
     """Return tag -> surfaces of each group of surfaces with a curved one (in 2D: of curves)."""
     dim = model.getDimension() - 1
-    groups = {
-        tag: tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
-        for _, tag in model.getPhysicalGroups(dim)
-    }
-    return {
-        tag: entities
-        for tag, entities in groups.items()
-        if not all(_is_flat(model, dim, entity) for entity in entities)
-    }
+    groups = {}
+    for _, tag in model.getPhysicalGroups(dim):
+        entities = tuple(map(int, model.getEntitiesForPhysicalGroup(dim, tag)))
+        if not all(_is_flat(model, dim, entity) for entity in entities):
+            groups[tag] = entities
+    return groups
 
 
 #: A geometry of Gmsh, or tag of facets -> projection onto the surface that the facets approximate.
@@ -205,11 +190,7 @@ Geometry: TypeAlias = GmshGeometry | Mapping[int, Projection]
 
 
 def check_geometry(geometry: Geometry | None) -> None:
-    """Check the type of the user's argument `geometry`. Not collective.
-
-    Raises:
-        InputError: the argument is not a geometry.
-    """
+    """Check the type of the user's argument `geometry`. Not collective."""
     is_table = isinstance(geometry, Mapping) and all(
         integer(tag) is not None and callable(function) for tag, function in geometry.items()
     )
@@ -225,9 +206,9 @@ class ExactSurface(NamedTuple):
 
     Attributes:
         pieces: the projection onto each smooth piece of the surface.
-        project: projection of nodes onto the whole surface; nodes of an edge of it are projected
-            onto the edge, so that a flat surface on the other side of the edge stays flat. Raises
-            InputError if too few nodes are on the surface before they are moved.
+        project: projection of nodes onto the whole surface; nodes of an edge are projected onto the
+            edge, so that a flat surface on its other side stays flat. Raises InputError if too few
+            nodes are on the surface before they are moved.
     """
 
     pieces: Sequence[Projection]
@@ -236,14 +217,7 @@ class ExactSurface(NamedTuple):
 
 @contextmanager
 def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
-    """Yield tag -> exact surface, for all curved surfaces. Not collective.
-
-    Each rank opens the file of a Gmsh geometry on its own.
-
-    Raises:
-        InputError: the file of Gmsh's geometry does not use the value of a parameter any more.
-        MeshError: the file does not exist any more, or Gmsh cannot read it.
-    """
+    """Yield tag -> exact surface, for all curved surfaces; each rank opens Gmsh's file itself."""
     if not isinstance(geometry, GmshGeometry):
         yield {int(tag): ExactSurface([function], function) for tag, function in geometry.items()}
         return
@@ -259,13 +233,9 @@ def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
 
 
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
-    """Project points (n, 3) onto a surface and return the result (n, 3) [length]. Not collective.
+    """Return points (n, 3) projected onto a surface [length]; the third coordinate of 2D stays.
 
-    `name` is that of the projection in error messages; coordinates beyond the dimension of space
-    are unchanged.
-
-    Raises:
-        InputError: the projection does not return n finite points.
+    `name` is that of the projection in error messages.
     """
     if len(points) == 0:
         return points
@@ -306,11 +276,7 @@ def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
 
 
 def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
-    """Project points (3, n) onto surfaces, points at an edge onto the edge.
-
-    Raises:
-        InputError: too few points are on the surface before they are moved.
-    """
+    """Project points (3, n) onto surfaces, points at an edge onto the edge."""
     surfaces = [(dim, entity) for entity in entities]
     place, distance = _nearest_points(model, surfaces, points)
     if dim > 1:

@@ -48,8 +48,7 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
     Attributes:
         names: tag -> name in the mesh file, for all tags that have a name.
-        cell_tags: for tags of facets, the tags of the cells, with the names of the bodies; else
-            None.
+        cell_tags: for tags of facets, those of the cells, with the names of the bodies; else None.
         geometry: for tags of facets, the geometry from which Gmsh made the mesh, if it is known.
     """
 
@@ -77,9 +76,7 @@ def abridged_names(tags: Sequence[int], facet_tags: MeshTags) -> str:
 class MergedTags(NamedTags):
     """The tags of facets, in which all tags of a list are replaced by the first one.
 
-    Attributes:
-        given: the tags of the facets before they were merged.
-        merged: first tag of each list -> the tags in the list.
+    The user's tags stay in `given`; `merged` is the first tag of each list -> the tags in the list.
     """
 
     def __init__(self, given: MeshTags, lists: Sequence[Sequence[int]]) -> None:
@@ -193,10 +190,7 @@ def read_gmsh(
 def _meshed(
     comm: MPI.Comm, gmsh: Any, path: Any, size: Any, unit: str, parameters: dict[str, float]
 ) -> tuple[list[tuple[int, int, str]], GmshGeometry | None]:
-    """Open and mesh the user's file or model; return `_physical_groups`, and the geometry if known.
-
-    For arguments see `read_gmsh`. Not collective.
-    """
+    """Open and mesh the user's file or model; return `_physical_groups` and the known geometry."""
     is_file = isinstance(path, str | PathLike)
     if not is_file and not hasattr(path, "getPhysicalGroups"):
         raise InputError(
@@ -226,12 +220,7 @@ def _meshed(
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:
-    """Name the bodies and faces of a CAD model without groups; mesh a model without mesh.
-
-    Raises:
-        InputError: see `set_sizes`.
-        MeshError: Gmsh cannot mesh the model, or cells are of several types; see `name_groups`.
-    """
+    """Name the bodies and faces of a CAD model without groups; mesh a model without mesh."""
     model, suffix = gmsh.model, path.suffix.lower()
     is_cad = suffix in CAD_SUFFIXES
     dim = model.getDimension()
@@ -257,11 +246,7 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
 
 
 def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Check that a file, which is open without parameters, declares the names of parameters.
-
-    Raises:
-        InputError: the file does not declare one of the names, or is no `.geo` file.
-    """
+    """Check that a file, which is open without parameters, declares the names of parameters."""
     if path.suffix.lower() != ".geo":
         raise InputError(
             f"'{path}' takes no parameters, found {', '.join(parameters)}. Read the .geo file that "
@@ -282,12 +267,8 @@ def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> 
 def name_groups(model: Any, name: str) -> None:
     """Put each body, and each face of a body, of a model without groups into a group of its own.
 
-    Names are the labels of the file. Without label bodies are `body 1`, `body 2`, and the faces of
-    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces, and their faces are curves. The `name` of
-    the model is for error messages. Not collective.
-
-    Raises:
-        MeshError: there is no body, a face is in no body, or two bodies share a face.
+    Names are the labels of the file; without, bodies are `body 1`, `body 2`, and faces of `pin` are
+    `pin/1`, `pin/2`. In 2D bodies are surfaces. The `name` of the model is for error messages.
     """
     dim, size = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
     if dim < 2 or (dim == 2 and size[2] > 1e-5 * size.max()):  # boxes of OpenCASCADE are loose
@@ -326,18 +307,11 @@ def name_groups(model: Any, name: str) -> None:
 
 
 def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -> None:
-    """Give each body its size of cells, and half of it at faces that are near another body.
+    """Give each body its size of cells [length], and half of it at faces near another body.
 
-    Curved faces have `CELLS_PER_TURN` cells round a turn, if these are smaller. Not collective.
-
-    Args:
-        model: the current model of Gmsh, with a group for each body.
-        size: size of cells [length], or name of a body -> size of its cells; None: from the size of
-            each body, as for bodies that the mapping leaves out.
-        name: name of the model, for error messages.
-
-    Raises:
-        InputError: a size is not a positive number, or no body has a name.
+    Curved faces have `CELLS_PER_TURN` cells round a turn, if these are smaller. Without a size it
+    follows from that of the body. The current model of Gmsh, with a name for error messages, has a
+    group for each body.
     """
     dim = model.getDimension()
     bodies = {
@@ -391,11 +365,7 @@ def _box(model: Any, dim: int, entity: int) -> Array:
 
 
 def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
-    """Return dimension, tag and name of each group of cells or facets; no name is "".
-
-    Raises:
-        MeshError: the model has no group of cells or of facets, or two groups have the same name.
-    """
+    """Return dimension, tag and name of each group of cells or facets; no name is ""."""
     dim = model.getDimension()
     for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):
         if dim < 2 or not model.getPhysicalGroups(group_dim):
@@ -429,10 +399,6 @@ def _check_facets(model: Any, path: Path) -> None:
 
     DOLFINx aborts all ranks if a facet has nodes of no cell, such as a facet of a body that is in
     no physical group, and leaves out other facets that are not faces of a cell.
-
-    Raises:
-        MeshError: facets are not faces of cells, or are in two groups, for example because two
-            bodies share their nodes.
     """
     mesh, dim = model.mesh, model.getDimension()
     (cell,) = mesh.getElementTypes(dim)

@@ -26,22 +26,14 @@ SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """The motion x -> R x + t.
-
-    Attributes:
-        rotation: (3, 3) orthogonal matrix R.
-        translation: (3,) vector t [length].
-    """
+    """The motion x -> R x + t, with an orthogonal matrix R (3, 3) and a vector t (3,) [length]."""
 
     rotation: Array
     translation: Array
 
     @classmethod
     def about(cls, point: Array, rotation_vector: Array, translation: Array) -> RigidMotion:
-        """Return a rotation about a point (3,) [length], followed by a translation (3,) [length].
-
-        The rotation vector (3,) is its axis times the angle [rad].
-        """
+        """Return a rotation about a point (3,), by a vector (3,) [rad], then a translation (3,)."""
         R = Rotation.from_rotvec(rotation_vector).as_matrix()
         return cls(R, point - R @ point + translation)
 
@@ -51,10 +43,7 @@ class RigidMotion:
         return RigidMotion(self.rotation @ earlier.rotation, translation)
 
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
-        """Return the motion at a fraction, from 0 to 1, of the way to another motion.
-
-        The centre (3,) moves along a straight line [length].
-        """
+        """Return the motion a fraction of the way to another; the centre (3,) moves straight."""
         turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
         R = turn.as_matrix() @ self.rotation
         ends = [motion.applied_to(centre[:, None])[:, 0] for motion in (self, end)]
@@ -317,12 +306,10 @@ class RigidObstacle:
             raise InputError(
                 f"free must be a list of {', '.join(FREEDOMS[3])}, found {shown(free)}."
             )
-        given = GivenForces(
-            _present(_coordinates, "force", force),
-            _present(_axial_vector, "moment", moment),
-            names,
-            self.centre if about is None else _coordinates("about", about),
-        )
+        present_force = _present(_coordinates, "force", force)
+        present_moment = _present(_axial_vector, "moment", moment)
+        point = self.centre if about is None else _coordinates("about", about)
+        given = GivenForces(present_force, present_moment, names, point)
         self.given_forces = None if names == () else given
 
     def distance(self, points: Array) -> Array:
@@ -402,11 +389,8 @@ class RigidPlane(RigidObstacle):
             normals = np.broadcast_to(n()[:, None], x.shape)
             return n() @ (x - p()[:, None]), normals
 
-        super().__init__(
-            distance,
-            f"a rigid plane through {numbers_text(p())} with normal {numbers_text(n())}",
-            _constants_of(point, normal),
-        )
+        name = f"a rigid plane through {numbers_text(p())} with normal {numbers_text(n())}"
+        super().__init__(distance, name, _constants_of(point, normal))
         self.centre = p()
 
 
@@ -490,25 +474,17 @@ class RigidCylinder(RigidObstacle):
             offset, along = x - p()[:, None], a()
             return _spherical_distance(offset - np.outer(along, along @ offset), r(), hollow)
 
-        super().__init__(
-            distance,
-            f"a rigid {'hollow ' if hollow else ''}cylinder through {numbers_text(p())} "
-            f"along {numbers_text(a())} of radius {r():g}",
-            _constants_of(point, axis, radius),
-        )
+        place = f"through {numbers_text(p())} along {numbers_text(a())} of radius {r():g}"
+        name = f"a rigid {'hollow ' if hollow else ''}cylinder {place}"
+        super().__init__(distance, name, _constants_of(point, axis, radius))
         self.centre = p()
 
 
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
     """Return a function that checks and returns the present value of a user's argument.
 
-    Args:
-        check: function (name, value) -> checked value.
-        name: the name of the argument, for error messages.
-        value: a number or a vector, or a Constant, which may change.
-
-    Raises:
-        InputError: the value is wrong; the returned function raises it if a Constant becomes wrong.
+    The value may be a Constant, which changes; `check` takes the name, for error messages, and the
+    value.
     """
     if isinstance(value, fem.Constant):
         check(name, value.value)
@@ -523,10 +499,9 @@ def _constants_of(*values: Any) -> list[fem.Constant]:
 
 
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
-    """Return the distance (n,) and normal (3, n) of a sphere or cylinder.
+    """Return distances (n,) and normals (3, n) of a sphere or cylinder, at offsets (3, n) from it.
 
-    The offset (3, n) is from the centre, or the axis, to the points [length]; a `hollow` obstacle
-    is the outside.
+    The offsets are from the centre or the axis [length]; a `hollow` obstacle is the outside.
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0
@@ -536,32 +511,20 @@ def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Arr
 
 
 def _coordinates(name: str, value: npt.ArrayLike, *, nonzero: bool = False) -> Array:
-    """Return three coordinates from two or three; the third is 0 by default.
-
-    Raises:
-        InputError: the value is not a vector of 2 or 3 finite numbers, or it is zero and `nonzero`.
-    """
+    """Return three coordinates from two or three; the third is 0 by default."""
     vector = checked_vector(name, value, 2, 3, nonzero=nonzero)
     return np.append(vector, np.zeros(3 - len(vector)))
 
 
 def _axial_vector(name: str, value: npt.ArrayLike) -> Array:
-    """Return a vector (3,) from its 3 components, or from the third one alone.
-
-    Raises:
-        InputError: the value is neither a finite number nor a vector of 3 finite numbers.
-    """
+    """Return a vector (3,) from its 3 components, or from the third one alone."""
     if np.shape(value) == ():
         return np.array([0.0, 0.0, checked_number(name, value, "(-inf, inf)")])
     return checked_vector(name, value, 3)
 
 
 def _direction(name: str, value: npt.ArrayLike) -> Array:
-    """Return the unit vector (3,) along a vector.
-
-    Raises:
-        InputError: the value is not a vector of 2 or 3 finite numbers, or is zero.
-    """
+    """Return the unit vector (3,) along a vector."""
     vector = _coordinates(name, value, nonzero=True)
     vector /= np.abs(vector).max()
     return np.asarray(vector / np.linalg.norm(vector))

@@ -145,12 +145,7 @@ class ContactPair:
         check_type("name", self.name, str | None, "a string")
 
     def _merge_lists_of_tags(self) -> None:
-        """Replace a list of tags by its first tag, also in `facet_tags`.
-
-        Raises:
-            InputError: a list is empty or has entries that are not tags; or some tags, but not all,
-                are on both sides.
-        """
+        """Replace a list of tags by its first tag, also in `facet_tags`."""
         secondary, primary = (self._checked_tags(name) for name in SIDES)
         common = [tag for tag in secondary if tag in primary]
         if common and set(secondary) != set(primary):
@@ -167,11 +162,7 @@ class ContactPair:
             object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
 
     def _checked_tags(self, which: SideName) -> tuple[int, ...]:
-        """Return the tags that the user gave for a side; none for an obstacle.
-
-        Raises:
-            InputError: there is no tag, or a value that is no tag.
-        """
+        """Return the tags that the user gave for a side; none for an obstacle."""
         given = getattr(self, which)
         if which == "primary" and isinstance(given, RigidObstacle):
             return ()
@@ -233,11 +224,7 @@ class ContactPair:
 
 
 def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
-    """Check that the tags of all pairs are those of facets of the problem's mesh. Collective.
-
-    Raises:
-        InputError: tags are on another mesh, or on entities of another dimension.
-    """
+    """Check that the tags of all pairs are those of facets of the problem's mesh. Collective."""
     dim = mesh.topology.dim - 1
     with errors_on_all_ranks(mesh.comm):
         for pair in pairs:
@@ -249,12 +236,7 @@ def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
-    """Check the user's argument `pairs` and return it as a list.
-
-    Raises:
-        InputError: an entry is not a ContactPair, the sequence is empty, or two pairs have the same
-            surfaces or the same name.
-    """
+    """Check the user's argument `pairs` and return it as a list."""
     check_type("pairs", pairs, Iterable, "a sequence", " Write [pair] for a single one.")
     result = list(pairs)
     for number, pair in enumerate(result):
@@ -405,12 +387,7 @@ Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip | Pressur
 
 
 def checked_goal(goal: Goal, pairs: int, dim: int) -> Goal:
-    """Check the user's argument `goal` and return it. Not collective.
-
-    Raises:
-        InputError: the argument is not a goal, its pair is not one of the number of `pairs`, or its
-            vectors do not have the dimension of space.
-    """
+    """Check the user's argument `goal` and return it. Not collective."""
     kinds = "a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm"
     check_type("goal", goal, Goal, kinds)
     if goal.pair >= pairs:
