@@ -64,8 +64,8 @@ def keep_inner_communicator(comm: MPI.Comm) -> None:
     """Keep PETSc's duplicate of an index map's communicator as long as the latter. Collective.
 
     PETSc frees a duplicate after its last object, and each rank frees vectors on its own: if an
-    exception keeps them on one rank, the next vector would be the first one on the other ranks,
-    which would wait for ever.
+    exception keeps them on one rank, only the other ranks would make a new duplicate, and wait for
+    ever.
     """
     if comm.size > 1 and comm.Get_attr(_REFERENCE) is None:
         # a copy of the handle, since DOLFINx keeps the index map as long as its own object exists

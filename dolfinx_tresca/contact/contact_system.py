@@ -285,7 +285,7 @@ class ContactSystem(PetscOwner):
         Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
         stands for the present one. After a `PairingError` the surfaces stay as they were.
         """
-        state, moved, finite = self.state, self.note_obstacles(), self._finite_sliding
+        state, moved, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
         try:
@@ -301,18 +301,19 @@ class ContactSystem(PetscOwner):
             raise
         self._state = replace(self._state, configuration=configuration, geometry=geometry)
 
-    def note_obstacles(self) -> Mask:
-        """Record the places of obstacles; return (pairs,) whether distances have changed.
+    def record_motions(self) -> Mask:
+        """Record the motions of obstacles; return (pairs,) whether distances have changed since.
 
-        A warning is logged for obstacles with friction that have changed without `move_to`, since
-        the slip does not contain such a change, unless they depend on Constants. Collective.
+        Distances are compared with those of the last pairing. If they have changed, but not the
+        motion, the user has changed the obstacle without `move_to`. This is logged with friction,
+        since the slip does not contain it; Constants are there to be changed. Collective.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
         same_place = (self._state.motions == motions).all(axis=(1, 2))
         self._state = replace(self._state, motions=motions)
         for pair in compress(self.pairs, changed & same_place):
-            fixed = pair.obstacle is not None and not pair.obstacle.constants
-            if fixed and not isinstance(pair.friction, Frictionless):
+            has_no_constants = pair.obstacle is not None and not pair.obstacle.constants
+            if has_no_constants and not isinstance(pair.friction, Frictionless):
                 warn(
                     self.comm,
                     "contact pair %s: the distance from the obstacle has changed in a way that is "

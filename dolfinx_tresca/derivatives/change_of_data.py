@@ -313,7 +313,7 @@ class DataOfSolution:
         return DataVector(np.where(prescribed, values, forces), laws, moved)
 
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
-        """Return derivatives of an output by the values of a Function that this rank owns.
+        """Return the derivatives of a goal by the values of a Function that this rank owns.
 
         Collective.
 
@@ -323,10 +323,12 @@ class DataOfSolution:
         self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
         self._z.x.scatter_forward()
         by_prescribed = dolfinx.la.vector(control.x.index_map, control.x.block_size)
+        # which value of the control is prescribed where: conditions with the numbers 1, 2, 3, ...
+        # in place of the control's values, and 0 where other data are prescribed
         numbers = np.arange(1, len(control.x.array) + 1, dtype=np.float64)
-        source = self._prescribed_by(control, numbers).astype(np.intp)
-        depends = source > 0
-        np.add.at(by_prescribed.array, source[depends] - 1, derivatives.load[depends])
+        value_number = self._prescribed_by(control, numbers).astype(np.intp)
+        depends = value_number > 0
+        np.add.at(by_prescribed.array, value_number[depends] - 1, derivatives.load[depends])
         by_prescribed.scatter_reverse(dolfinx.la.InsertMode.add)
         result = by_prescribed.array[: owned_size(control)] - self.derivative(self._work, control)
         for scalar in self._fields:

@@ -178,7 +178,7 @@ class ProcessTape:
     def gradient_by_step(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return the derivatives with respect to the values of controls in each step. Collective.
+        """Return the derivatives of goals with respect to controls in each step. Collective.
 
         This is for controls that change from step to step, such as loads and prescribed
         displacements. The cost is the same as for `gradient`.

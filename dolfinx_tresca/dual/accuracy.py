@@ -44,9 +44,9 @@ class Lift:
     def __init__(self, jump: JumpOperator) -> None:
         """Factor B D B'. Collective."""
         self._prepare(jump.system.K, jump.matrix)
-        self._compliance = nodal_compliance(jump.system)
+        self._D = nodal_compliance(jump.system)
         weighted = self._B.copy()
-        weighted.diagonalScale(R=self._compliance)
+        weighted.diagonalScale(R=self._D)
         self._solver = _factored_unless_singular(weighted.matTransposeMult(self._B))
 
     def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
@@ -73,7 +73,7 @@ class Lift:
         """Return w for the jump in `_jump`. Collective."""
         solver.solve(self._jump, self._multipliers)
         self._B.multTranspose(self._multipliers, self._w)
-        self._w.pointwiseMult(self._compliance, self._w)
+        self._w.pointwiseMult(self._D, self._w)
         return self._w
 
 
@@ -193,11 +193,12 @@ class EnergyBound:
         # each node gets the jump for which the duality gap is smallest if its neighbours are fixed
         moved = x - self._nodal_stiffness * r
         projected = feasible_set.project(moved)
-        opening = (projected - moved) / self._nodal_stiffness
+        # the gradient at the new jump: in normal rows the gap, in tangential rows minus the slip
+        gradient = (projected - moved) / self._nodal_stiffness
         n, t = feasible_set.normal, feasible_set.tangential
-        friction = feasible_set.dissipation(opening) + float(x[t] @ opening[t])
-        total = reduce_array(self.comm, float(x[n] @ opening[n]) + max(friction, 0.0))
-        # r - opening, but exactly zero at open nodes: rounding may be no jump of a displacement
+        friction = feasible_set.dissipation(gradient) + float(x[t] @ gradient[t])
+        total = reduce_array(self.comm, float(x[n] @ gradient[n]) + max(friction, 0.0))
+        # r - gradient, but exactly zero at open nodes: rounding may be no jump of a displacement
         lift = self._lift.energy_norm((x - projected) / self._nodal_stiffness)
         return float(np.sqrt(2.0 * float(total) + (lift + error) ** 2)) + error
 

@@ -245,7 +245,7 @@ class DualProgram:
         the norm of K^-1 f. The first call may need a solve with K, as in `energy_norm`.
         """
         energy, _ = self._load_terms
-        # 64 eps, and the root of it, since the energy is computed as a difference of energies
+        # rounding is relative to the energy, which is a difference of energies: hence the root
         return max(float(np.sqrt(ROUNDING * energy)), self.b_error)
 
     @cached_property

@@ -161,7 +161,7 @@ class Equilibrium:
         displacements that are then still missing for equilibrium.
         """
         u.array += self.bodies.displacements @ (self.factors * c)
-        return self.constraints.violation(x, c)
+        return self.constraints.soft_violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
         """Return the resultants U'f (k,), and the largest size of their terms. Collective."""

@@ -18,7 +18,7 @@ from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product, sparse_matrix
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.solvers.constraints import eigenpairs
-from dolfinx_tresca.stiffness.solver import StiffnessSolver, not_positive_definite
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, indefinite_error
 
 #: An error message mentions translations and rotations whose share in a motion exceeds this number,
 #: and counts bodies that move more than this part of the largest motion.
@@ -133,7 +133,7 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     limit = np.where(held, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
     negative = resistance < -1e-8 * stiffness[body]  # less is rounding
     if negative.any():
-        raise not_positive_definite(
+        raise indefinite_error(
             "its stiffness against a rigid motion is negative, of "
             f"{bodies.describe(int(body[negative.argmax()]))}"
         )
@@ -159,7 +159,7 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
         body, value = int(smallest.argmin()), smallest.min()
         stiffness = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
         number = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
-        raise not_positive_definite(
+        raise indefinite_error(
             f"the stiffness is {stiffness} at {number} of {bodies.nodes[body]} nodes of "
             f"{bodies.describe(body)}"
         )

@@ -170,10 +170,12 @@ class Simplices:
         return np.asarray(self.gradients @ np.swapaxes(means, 1, 2))
 
     @cached_property
-    def stretches(self) -> Array:
-        """(n,) s^2 / t of the largest and least singular values s, t of affine maps [length].
+    def map_factors(self) -> Array:
+        """(n,) factors [length] with which the constants of `POINCARE` and `TRACE` grow.
 
-        The maps are those from the simplex of `POINCARE`, along the shortest path of the vertices.
+        They are s^2 / t with the largest and the least singular value s, t of the affine map from
+        the simplex of `POINCARE`. Its columns are the edges of a path through all vertices. Each
+        path gives a bound; the shortest is taken.
         """
         squares = np.square(self.points[:, :, None] - self.points[:, None]).sum(axis=3)
         orders = np.array(list(permutations(range(self.d + 1))))
@@ -186,13 +188,13 @@ class Simplices:
     @property
     def poincare_factors(self) -> Array:
         """(n,) upper bounds of |w| / |sym grad w| [length], w minus its linear part."""
-        return self.stretches * POINCARE[self.d]
+        return self.map_factors * POINCARE[self.d]
 
     @property
     def trace_factors(self) -> Array:
         """(n, d + 1) upper bounds of |w|_F / |sym grad w| [length^(1/2)] on each facet F."""
         ratios = self.areas / (factorial(self.d) * self.volumes[:, None])
-        return np.asarray(self.stretches[:, None] * np.sqrt(ratios) * TRACE[self.d])
+        return np.asarray(self.map_factors[:, None] * np.sqrt(ratios) * TRACE[self.d])
 
     @property
     def quadratic_ratio(self) -> float:

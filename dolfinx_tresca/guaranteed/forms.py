@@ -28,8 +28,9 @@ SQUARES = {"quadrature_degree": 10}
 def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
     """Return the elasticity tensors (n, nsym, nsym) of owned cells in `symmetric_basis`.
 
-    They follow from a(w, v) for displacements w with constant gradients and quadratic v of each
-    cell, which must be the work of constant stresses that rotations do not cause. Collective.
+    For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell;
+    their mean stresses make the tensor. These forces must be those of the mean stress alone, have
+    no resultant, as springs have, and rotations must cause none. Collective.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
@@ -38,7 +39,8 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
     changes = {trial: linear, test: ufl.TestFunction(cells.quadratics)}
     work = fem.form(ufl.replace(a, changes), entity_maps=maps)
     results = []
-    for slope.value in np.eye(d * d).reshape(-1, d, d):
+    for gradient in np.eye(d * d).reshape(-1, d, d):
+        slope.value = gradient
         results.append(fem.assemble_vector(work).array.reshape(-1, d)[cells.dofs])
     forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]  # (n, d * d, k, d)
 
@@ -48,9 +50,9 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
     stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
     tensors = symmetric_basis(d).reshape(-1, d * d)
     result: Array = tensors @ stresses.reshape(n, d * d, d * d) @ tensors.T
-    constant = (tensors.T @ result @ tensors).reshape(stresses.shape)
+    mean_stresses = (tensors.T @ result @ tensors).reshape(stresses.shape)
     mean_slopes = 2.0 / corners * basis.sum(axis=0).T @ cells.gradients
-    of_constant = mean_slopes[:, None] @ np.swapaxes(constant, 2, 3)
+    of_mean_stress = mean_slopes[:, None] @ np.swapaxes(mean_stresses, 2, 3)
     by_slope = forces.reshape(n, d, d, -1)
     kinds = {integral.integral_type() for integral in a.integrals()}
     rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2) / cells.heights.min(axis=1)
@@ -68,7 +70,7 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
         "a form a of the symmetric gradient; this one gives rotations an energy",
     )
     cells.require(
-        vanishes(forces - of_constant),
+        vanishes(forces - of_mean_stress),
         'a stiffness that is constant in each cell. Interpolate the moduli into a space ("DG", 0)',
     )
     positive = (np.linalg.eigvalsh(result) > 0.0).all()
@@ -82,8 +84,9 @@ def loads(
     """Return the linear projections of the loads of a form, and their distances. Collective.
 
     Projections have the degree that UFL estimates, and are exact for polynomials; distances from
-    them are exact for polynomials of degree up to 5, see `SQUARES`. They have a quadratic part and
-    the rest, the distance from quadratic functions: on facets the factor of the former is smaller.
+    them are exact for polynomials of degree up to 5, see `SQUARES`. The difference of a load and
+    its projection is split into a quadratic function and a remainder: quadratic tractions do less
+    work (`largest_work`).
 
     `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
     relative to the energy norm: in the cell, and on each facet.
@@ -105,11 +108,13 @@ def loads(
         "displacement, as an initial stress does",
     )
     constant = fem.functionspace(mesh, ("DG", 0))
-    nearest, weight = fem.Function(cells.quadratics), ufl.TestFunction(constant)
+    quadratic_load, weight = fem.Function(cells.quadratics), ufl.TestFunction(constant)
     test, cell_dofs = ufl.TestFunction(cells.quadratics), constant.dofmap.list[:n, 0]
+    # a form integrates over all facets of a cell. For the integral over one facet of each cell,
+    # `normal` is the normal of this facet, and the integrand is zero where normals differ
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
-    off = ufl.FacetNormal(mesh) - normal
-    on_facet = ufl.conditional(ufl.lt(ufl.inner(off, off), NORMAL_ROUNDING), 1.0, 0.0)
+    difference = ufl.FacetNormal(mesh) - normal
+    on_facet = ufl.conditional(ufl.lt(ufl.inner(difference, difference), NORMAL_ROUNDING), 1.0, 0.0)
     terms = list(cells.terms(loading))
     for integral in L.integrals():
         indicator, ratio, numbers = 1.0, 1.0, range(1)
@@ -117,7 +122,7 @@ def loads(
             indicator, ratio = on_facet, cells.quadratic_ratio
             numbers = range(1, corners + 1)
         axes = [ufl.replace(integral.integrand(), {argument: ufl.as_vector(e)}) for e in np.eye(d)]
-        square = sum((load - nearest[i]) ** 2 for i, load in enumerate(axes))
+        square = sum((load - quadratic_load[i]) ** 2 for i, load in enumerate(axes))
         integrands = ufl.replace(integral.integrand(), {argument: test}), square * weight
         forces, squares = (
             fem.form(
@@ -128,21 +133,22 @@ def loads(
         )
         for number in numbers:
             vertices, sizes, load = terms[number]
-            normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
+            if number > 0:
+                normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
             linear, _, means = lagrange(len(vertices))
             basis_dofs = cells.dofs[:, lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0]
             moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
             values = np.linalg.solve(means, moments) / sizes[:, None, None]
-            nearest.x.array[:] = 0.0
-            nearest.x.array.reshape(-1, d)[basis_dofs] = values
-            farther = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
+            quadratic_load.x.array[:] = 0.0
+            quadratic_load.x.array.reshape(-1, d)[basis_dofs] = values
+            remainder = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
             projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means @ values)
             values -= linear @ projection
             load += projection  # a view of the loading
             quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
             # the factor R_F of a traction that is orthogonal to linear functions is too large for
             # its quadratic part, whose factor is Q_F = R_F cos(theta_F): docs/theory/guaranteed.md
-            angle = np.arccos(ratio) - np.arctan2(farther, quadratic)
-            work = np.hypot(quadratic, farther) * np.cos(np.maximum(angle, 0.0))
+            angle = np.arccos(ratio) - np.arctan2(remainder, quadratic)
+            work = np.hypot(quadratic, remainder) * np.cos(np.maximum(angle, 0.0))
             oscillation += factors[:, number] * work
     return loading, oscillation

@@ -387,8 +387,12 @@ def _root(kind: str) -> ET.Element:
 
 
 def _compressed(values: npt.NDArray[Any]) -> str:
-    """Return one compressed block as text; ParaView 5.11 fails at raw bytes behind the XML."""
+    """Return values as VTK's compressed text of one block.
+
+    ParaView 5.11 fails at raw data that are appended behind the XML.
+    """
     data = values.tobytes()
     packed = zlib.compress(data, level=1)
+    # number of blocks, size of a block, of a shorter last block (there is none), compressed size
     sizes = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
     return (b64encode(sizes.tobytes()) + b64encode(packed)).decode()

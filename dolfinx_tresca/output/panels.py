@@ -130,10 +130,10 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
     number, below a few values that are much larger.
     """
     least, largest = float(values.min(initial=math.inf)), float(values.max(initial=0.0))
-    most = float(np.percentile(values, 85.0)) if clip and len(values) else 0.0
-    if 0.0 < 2.5 * most < largest:  # otherwise most values would have one colour
-        step = 0.5 * 10.0 ** math.floor(math.log10(most))
-        return 0.0, step * math.ceil(most / step - 1e-9), largest
+    usual = float(np.percentile(values, 85.0)) if clip and len(values) else 0.0
+    if 0.0 < 2.5 * usual < largest:  # without a cut, 85 % of the values would look the same
+        step = 0.5 * 10.0 ** math.floor(math.log10(usual))
+        return 0.0, step * math.ceil(usual / step - 1e-9), largest
     far = 0.5 * largest < least < (1.0 - 1e-6) * largest
     return least if far else 0.0, largest or 1.0, largest
 
@@ -287,7 +287,7 @@ def skin(grid: Any) -> Any:
 
 
 def straight(volume: Grid) -> Grid:
-    """Return a grid with the corners of its cells alone.
+    """Return a grid in which tetrahedra and hexahedra have no nodes but their corners.
 
     Of tetrahedra and hexahedra of degree 2 VTK also draws faces between cells that have the nodes
     of the face in different orders, and then finds no edges of the bodies.

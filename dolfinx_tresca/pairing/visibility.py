@@ -334,7 +334,7 @@ class SelfContact:
         body, size, self.centre, self.normal, radius = columns
         self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
         self.corners = facets.nodes[:, : facets.corners]
-        self.place = facets.points[:, : facets.corners].mean(axis=1)
+        self.present_centre = facets.points[:, : facets.corners].mean(axis=1)
         self.present_normal = facets.mean_normals
 
     def _facing_before(self, facet: Indices, partner: Indices) -> Mask:
@@ -344,7 +344,8 @@ class SelfContact:
     def may_meet(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
-        Facets of one body may not meet if they are neighbours, or the two faces of a wall.
+        Facets of two bodies may. Those of one body may not if they are neighbours, or the two faces
+        of a wall.
         Neighbours share a corner and do not face each other in the undeformed mesh; the two lips of
         a crack also share corners at its tip, but face each other. Two facets are the faces of a
         wall if each is behind the other, deeper than facets of curved surfaces penetrate each other
@@ -357,7 +358,7 @@ class SelfContact:
         neighbours = common & ~self._facing_before(f, g)
         shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH) * (self.radius[f] + self.radius[g])
         undeformed = _least_depth(self.centre, self.normal, f, g)
-        present = _least_depth(self.place, self.present_normal, f, g)
+        present = _least_depth(self.present_centre, self.present_normal, f, g)
         wall = (undeformed > shallow) & (present > np.maximum(shallow, WALL_PART * undeformed))
         return np.asarray((self.body[f] != self.body[g]) | ~(neighbours | wall))
 

@@ -252,12 +252,13 @@ class ContactProblem(ContactProcess):
     def goal_error(self, goal: Goal) -> GoalError:
         """Return the value of a goal in the last solution, with an error estimate. Collective.
 
-        The estimate keeps the contact state of each node, which is right to first order. So if all
-        nodes stick, the mean slip and its estimated error are zero. The estimate covers the
-        discretisation error of the displacement. It does not cover the error of approximating a
-        curved boundary by straight edges: gaps take account of the curvature of the surfaces, but
-        the shape of boundaries without contact is taken as it is in the mesh. The estimate costs
-        about ten products with A, which later solves use, too.
+        The estimate keeps the contact state of each node, since changes of states are of second
+        order in the error of the displacement. So if all nodes stick, the mean slip and its
+        estimated error are zero. The estimate covers the discretisation error of the displacement.
+        It does not cover the error of approximating a curved boundary by straight edges: gaps take
+        account of the curvature of the surfaces, but the shape of boundaries without contact is
+        taken as it is in the mesh. The estimate costs about ten products with A, which later solves
+        use, too.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
@@ -271,6 +272,7 @@ class ContactProblem(ContactProcess):
         solved = self._solved_for("the error of a goal")
         dual, fields = solved.dual, solved.fields
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
+        # no data change, so slip bounds are not asked for
         contact = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
         return goal_error(goal, contact, fields.u, energy_error)
 

@@ -452,10 +452,11 @@ class Newton:
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        After `max_iterations` steps, it may continue up to `MAX_ITERATIONS_FACTOR` times this
-        number if bodies snap, or if the error, relative to the requested one, falls fast enough at
-        its mean rate in the second half of the steps. Rates are of the least errors so far, since
-        Anderson's acceleration makes errors of the configuration jump up and down.
+        It may take up to `max_iterations` steps, and `MAX_ITERATIONS_FACTOR` times as many if
+        bodies snap, which steps with the stiffness of the undeformed bodies show. Otherwise it may
+        go on if the error would reach the requested one within this larger number of steps, at its
+        mean rate in the second half of the steps so far. Rates are of the least errors so far,
+        since Anderson's acceleration makes errors of the configuration jump up and down.
         """
         most, number = self.options.max_iterations, len(errors)
         snaps = any(step.is_proximal for step in self.steps[-number:])
@@ -464,7 +465,7 @@ class Newton:
             return True
         middle = (number - 1) // 2
         least, least_before = min(errors), min(errors[: middle + 1])
-        if middle == number - 1 or not 0.0 < least < least_before < math.inf:
+        if number == 1 or not 0.0 < least < least_before < math.inf:
             return False
         rate = (least / least_before) ** (1.0 / (number - 1 - middle))
         at_end: float = least * rate ** (MAX_ITERATIONS_FACTOR * most - number)

@@ -229,7 +229,7 @@ class ContactProcess(PetscOwner, Tabulated):
         contact.obstacles.check_no_tools("a slip origin")
         if u is not None:
             contact.linear.check_displacement("the slip origin", u, " or None,")
-        contact.note_obstacles()
+        contact.record_motions()
         slip = SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u)
         contact.state = contact.state.after_step(slip, None if u is None else u.copy())
 
@@ -269,7 +269,7 @@ class ContactProcess(PetscOwner, Tabulated):
         contact, jump = self._contact, self._contact.jump
         contact.obstacles.check_no_tools("the continuation of a step on another mesh")
         solution.raise_if_failed()
-        contact.note_obstacles()
+        contact.record_motions()
         slips = slip_from(solution.surfaces, jump)
         history = SlipHistory.from_slip(jump, slips, solution.total_dissipation)
         contact.state = contact.state.after_step(history, None)

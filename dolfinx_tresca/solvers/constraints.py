@@ -129,15 +129,15 @@ class EqualityConstraints:
         )
         return max(ratios)
 
-    def violation(self, x: Array, c: Array) -> float:
+    def soft_violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
 
         For floating bodies, the result is the energy norm of the rigid displacements that are
         missing for equilibrium.
         """
-        values, vectors = self.soft_directions
+        eigenvalues, vectors = self.soft_directions
         missing = vectors.T @ self.residual(x, c)
-        return float(np.sqrt(missing @ (missing / values)))
+        return float(np.sqrt(missing @ (missing / eigenvalues)))
 
     @cached_property
     def soft_directions(self) -> tuple[Array, csr_array]:

@@ -79,8 +79,8 @@ class NaturalResidual:
 
     def norm_at(self, point: Point) -> float:
         """Return the natural residual, not divided by its scale. Collective."""
-        lam, x = self._problem.bounds(point.x, point.r), point.x
-        change = norm(self._problem, x - lam.project(x - self.rho * point.r))
+        section, x = self._problem.bounds(point.x, point.r), point.x
+        change = norm(self._problem, x - section.project(x - self.rho * point.r))
         unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))
         return float(np.hypot(change, unbalanced)) / self.rho
 
@@ -115,7 +115,7 @@ def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float
 
 def energy_error(problem: DualProblem, point: Point, error: float = 0.0) -> float:
     """Return a bound of the displacement's relative error in the energy norm. Collective."""
-    missing = problem.constraints.violation(point.x, point.c)
+    missing = problem.constraints.soft_violation(point.x, point.c)
     bound = problem.energy_bound(point.x, point.r, error + missing)
     return relative_error(problem, bound, energy_norm(problem, point, error))
 

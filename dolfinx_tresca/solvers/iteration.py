@@ -329,8 +329,9 @@ class ModelNewton:
         """
         iterate, history, residual = self.iterate, self.history, self.residual
         if not self.problem.compliance.exact:
-            done = history.reached(iterate.point, 0.0, residual.norm_at(iterate.point))[2]
-            iterate.refine(history.tolerable_error(iterate.point) if done else np.inf)
+            # a more accurate gradient is worth its price where the iterate may be the last one
+            *_, may_end = history.reached(iterate.point, 0.0, residual.norm_at(iterate.point))
+            iterate.refine(history.tolerable_error(iterate.point) if may_end else np.inf)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
             return status
         is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.errors[-1]

@@ -166,10 +166,14 @@ class SemismoothNewton:
     def solve(self, start: NewtonPoint, tolerance: float, softer: float = 1.0) -> NewtonPoint:
         """Return the point with the least residual.
 
-        The method ends where a step does not reduce a residual below the tolerance, where the
-        residual at the start is reduced to rounding (to the tolerance, with a model that the next
-        product improves and without constraints, which are to hold to rounding), or where it has
-        not decreased in `PATIENCE` steps.
+        The method ends
+
+        - once the residual is rounding (to the tolerance, with a model that the next product
+          improves and without constraints, which are to hold to rounding),
+        - once the residual is below the tolerance, and a step has made no progress, or
+        - after `PATIENCE` steps without progress.
+
+        `newton_solution` sets `is_solved` of the result.
 
         The tolerance is the residual of a point that solves the equations. The softness in the
         first step is multiplied by `softer`; if this is not 1, steps are halved `FEWER_HALVINGS`
@@ -183,14 +187,15 @@ class SemismoothNewton:
         for _ in range(MOST_STEPS):
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
-            is_whole = (idle + 1) % SHORT_PATIENCE == 0
+            # a watchdog: from time to time a whole step, even if the residual grows
+            halvings = 0 if (idle + 1) % SHORT_PATIENCE == 0 else most_halvings
             dx, dc = self.step(point, softness)
             # if the face did not change, constraints that are soft in this step would keep a
             # residual, and all other residuals would vanish: this is what the step promises
-            left = self.problem.constraints.residual(point.x + dx, point.c + dc)
-            promised = self.energy(np.zeros_like(dx), left)
+            unbalanced = self.problem.constraints.residual(point.x + dx, point.c + dc)
+            promised = self.energy(np.zeros_like(dx), unbalanced)
             wanted = PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
-            point = self._part_of_step(point, dx, dc, wanted, 0 if is_whole else most_halvings)
+            point = self._part_of_step(point, dx, dc, wanted, halvings)
             softness *= SOFTER if point.residual > wanted else 1.0 / SOFTER
             idle = 0 if point.residual < PROGRESS * best.residual else idle + 1
             best = min(best, point, key=lambda candidate: candidate.residual)

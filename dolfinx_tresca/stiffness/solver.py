@@ -36,8 +36,11 @@ _ADVICE = {
 _numbers = count()
 
 
-def not_positive_definite(evidence: str) -> StiffnessError:
-    """Return the error to raise if K is not positive definite, with a clause that shows it."""
+def indefinite_error(evidence: str) -> StiffnessError:
+    """Return the error to raise if K is not positive definite; the evidence is a clause.
+
+    The error keeps the evidence, for example "3 of 90 pivots are negative", as an attribute.
+    """
     error = StiffnessError(
         f"K is not positive definite: {evidence}. Check Young's moduli (a value in every cell), "
         "Poisson ratios (below 0.5) and the signs in the form a."
@@ -346,7 +349,7 @@ def _check_pivots(K: PETSc.Mat, pc: PETSc.PC, constraints: int | None) -> None:
             "singular, -9 or -13: out of memory). For large models take stiffness='multigrid'."
         )
     if constraints == 0 and negative > 0:
-        raise not_positive_definite(f"{negative} of {K.getSize()[0]} pivots are negative")
+        raise indefinite_error(f"{negative} of {K.getSize()[0]} pivots are negative")
     if constraints != 0 and zero > 0:
         raise StiffnessError(
             f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Nothing holds a body; "
@@ -410,7 +413,7 @@ def multigrid(
     if V.element.basix_element.degree == 1 or "pc_type" in given:
         _set_rigid_body_modes(K, V)
         return StiffnessSolver("multigrid", K, krylov | gamg, petsc_options, prefix)
-    levels: dict[str, Any] = {
+    two_levels: dict[str, Any] = {
         "pc_type": "mg",
         # two cycles of GAMG on the coarsest space. They are cheap, since K of degree 1 has a
         # fifteenth of the entries of K of degree 2; with one, a solve takes a third more iterations
@@ -419,16 +422,16 @@ def multigrid(
         "mg_coarse_ksp_norm_type": "none",
         **smoother,
     }
-    levels |= {f"mg_coarse_{name}": value for name, value in gamg.items()}
-    below = {
+    two_levels |= {f"mg_coarse_{name}": value for name, value in gamg.items()}
+    # once more with the prefix of the GAMG solver inside
+    repeated_for_gamg = {
         f"mg_coarse_{name}": value
         for name, value in petsc_options.items()
         if name.startswith(("pc_gamg_", "mg_levels_"))
     }
     prepare = partial(_add_degree_1, K=K, V=V, prescribed=prescribed)
-    return StiffnessSolver(
-        "multigrid", K, krylov | levels, below | dict(petsc_options), prefix, prepare
-    )
+    options = repeated_for_gamg | dict(petsc_options)
+    return StiffnessSolver("multigrid", K, krylov | two_levels, options, prefix, prepare)
 
 
 def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
