@@ -30,7 +30,8 @@ MOST_HALVINGS, FEWER_HALVINGS = 14, 6
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
 #: softness is multiplied by `SOFTER` after each step that reduces the residual too little, and
 #: divided by it after each other step. With 1e-10 in place of 1e-4, a wall of 1,104 bricks is not
-#: solved.
+#: solved. With `SOFTER` = 10, piles of stones take 15 % fewer steps, but a wall of 2,046 bricks
+#: takes more than 200 steps in place of 127.
 PROXIMAL, SOFTER = 1e-4, 3.0
 
 #: Newton's method has solved the model if the residual is at most this part of the residual at the
