@@ -22,7 +22,7 @@ import numpy as np
 import basix
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, unit
-from dolfinx_tresca.pairing.facets import SurfaceNodes, tangents
+from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
 #: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot
@@ -92,6 +92,7 @@ class SmoothSurface:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans; next to a kink it is zero.
+        is_flat: whether no facet of this rank has a height, and no normal turns.
         across: (n, k, 3) outward unit normals of the other smooth patches at the corners of each
             facet, which are behind sharp edges; zero rows stand for missing ones. At the ends of a
             curve (2D) the body is taken to go on at right angles, as at the corner of a box.
@@ -119,8 +120,10 @@ class SmoothSurface:
         # both is right to fourth order in the angle.
         stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
         heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        rounding = (MESH_ROUNDING + facets.rounding) * np.ptp(self._corners, axis=1).max(axis=1)
+        has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
         # (n, pairs) factors of products of two hat functions in heights [length]
-        self._height_factors = heights * (not facets.bent)
+        self._height_factors = heights * (has_height and not facets.bent)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
         kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
         leaning = self._facet_normals[:, None] - self.corner_normals
@@ -146,6 +149,7 @@ class SmoothSurface:
         at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
         self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
+        self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""

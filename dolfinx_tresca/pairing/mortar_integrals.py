@@ -130,7 +130,7 @@ class MortarIntegrals(FacetIntegrals):
             degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
         elif facets.has_exact_surface:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
-        else:
+        elif not (self._surface.is_flat and self._partner_surface.is_flat):
             degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
         degree += facets.axisymmetric  # the radius is linear
         x, w = quadrature("interval" if facets.dim == 1 else "triangle", degree)
@@ -161,6 +161,9 @@ class MortarIntegrals(FacetIntegrals):
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         arrays = zip(*self._overlaps, strict=True)
         self.pairs, self.partner, self.opposite = map(np.concatenate, arrays)
+        # the integrals outlive what they were computed with, a third of the memory
+        del self._overlaps, self._pieces, self._partners, self._visibility
+        del self._surface, self._partner_surface
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that face each other and may meet.
