@@ -26,7 +26,7 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a path in a new folder to write to; then move all files there to the folder of `path`.
 
-    Nothing is moved after an exception: files are always complete, and a run that fails keeps those
+    Nothing is moved after an exception: each file is complete, and a run that fails keeps those
     of earlier runs. The block writes a file or a folder, and maybe others beside it. Not
     collective.
     """

@@ -77,9 +77,9 @@ def create_submesh(
 
 
 def owned_dofs(bc: Any, owned: int) -> Any:
-    """Return which of a rank's owned degrees of freedom a condition prescribes. Not collective.
+    """Return the owned degrees of freedom (n,) that a Dirichlet condition prescribes.
 
-    DOLFINx 0.9 counts some ghosts among the owned ones on blocked spaces.
+    On blocked spaces DOLFINx 0.9 counts some ghosts among the owned ones. Not collective.
     """
     dofs = bc.dof_indices()[0]
     return dofs[dofs < owned]

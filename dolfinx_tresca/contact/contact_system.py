@@ -135,8 +135,8 @@ class ContactSystem(PetscOwner):
             self.compliance = self._factored()
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
-                for pair, on_nodes in zip(pairs, operators, strict=True):
-                    self.friction.check(pair.friction, on_nodes.nodes, rounding)
+                for pair, pair_operators in zip(pairs, operators, strict=True):
+                    self.friction.check(pair.friction, pair_operators.nodes, rounding)
         self.frames_at_rest = BodyFrames.at_rest(linear, self.bodies, pairs)
         scene_checks.hint_at_scene(linear.V, pairs, self.jump.pairs, self.bodies)
 
@@ -302,7 +302,7 @@ class ContactSystem(PetscOwner):
         self._state = replace(self._state, configuration=configuration, geometry=geometry)
 
     def record_motions(self) -> Mask:
-        """Record the motions of obstacles; return (pairs,) whether distances have changed since.
+        """Record the motions of obstacles; return the mask (pairs,) of changed distances.
 
         Distances are compared with those of the last pairing. If they have changed, but not the
         motion, the user has changed the obstacle without `move_to`. This is logged with friction,

@@ -199,7 +199,7 @@ class Obstacles:
         return np.array(largest_sizes(comm, *np.split(rates[0], ends)))
 
     def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
-        """Return how far the obstacle's point now at each node, displaced by u, has moved."""
+        """Return the displacement of the obstacle's points that are at the nodes displaced by u."""
         dim = self._V.mesh.geometry.dim
         points = self._V.tabulate_dof_coordinates().T.copy()
         points[:dim] += u.x.array.reshape(-1, dim).T

@@ -367,8 +367,8 @@ def as_derivatives(
 ) -> list[Any]:
     """Return derivatives of `gradient` as arrays and Functions. Collective.
 
-    For each control the values may be the number 0; if they are all zero, the log says so, and
-    `when`: the words say to which of several load steps the values belong.
+    For each control the values may be the number 0. If they are all zero, the log says so; the
+    words `when`, such as " in step 2", tell there to which load step the values belong.
     """
     result: list[Any] = []
     for control, derivatives in zip(controls, values, strict=True):

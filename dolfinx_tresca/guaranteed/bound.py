@@ -148,7 +148,7 @@ class Bodies:
     def candidate(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
     ) -> Candidate:
-        """Return what bounds the exact solution of the load L, with one solve with K. Collective.
+        """Return the candidate of the load L; this takes one solve with K. Collective.
 
         The tractions on the boundary are given, or follow from the multipliers (size,) of the dual
         problem that was solved; others come from the displacement for these, and are corrected star
@@ -190,7 +190,7 @@ class Bodies:
         return Candidate(surfaces, v, loading, oscillation)
 
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
-        """Return by how much tractions and a displacement miss the law of contact. Collective.
+        """Return the defects of tractions and a displacement in the law of contact. Collective.
 
         The (2, n) integrals over the facets of cells [energy] are those of pressure times gap, and
         of what the work of friction lacks of its bound.

@@ -144,9 +144,8 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     """Return the grids "volume" and "contact" of a solution on the first rank, none on others.
 
     With several pairs there is a grid for each, named after the pair, with its number if the name
-    is taken. The degree of the volume is
-    high enough for curved cells to be shown as curved, and it has the user's fields, too; surfaces
-    are of degree 1. Collective.
+    is taken. The degree of the volume is high enough for curved cells to be shown as curved, and it
+    has the user's fields, too; surfaces are of degree 1. Collective.
     """
     check_type("solution", solution, Evaluation, "what solve() has returned")
     u, surfaces = solution.u, solution.surfaces

@@ -220,7 +220,7 @@ class Supports:
         return 1e-10 * largest
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:
-        """Return which owned degrees of freedom a support holds, and its springs. Collective."""
+        """Return the mask of owned degrees of freedom of a support, and its springs. Collective."""
         V = self.contact_force.function_space
         held = np.zeros(len(self.system.prescribed), dtype=np.bool_)
         tag, springs = integer(where), []
