@@ -74,11 +74,11 @@ def keep_inner_communicator(comm: MPI.Comm) -> None:
 
 @contextmanager
 def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
-    """Destroy an owner if the enclosed block raises; the block must raise on all ranks together."""
+    """Destroy an owner if the enclosed block raises, after the errors that `PetscOwner` names."""
     try:
         yield
-    except BaseException:
-        owner.destroy()
+    except BaseException as error:
+        owner.__exit__(type(error), error)
         raise
 
 
