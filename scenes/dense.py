@@ -87,7 +87,7 @@ class DenseProblem(OneRank):
         """The cones, if bounds depend on the pressure."""
         return self.feasible_set if self.cones is None else self.cones
 
-    def bounds(self, x: np.ndarray, r: np.ndarray) -> FeasibleSet:
+    def section_at(self, x: np.ndarray, r: np.ndarray) -> FeasibleSet:
         """Return Lambda with the slip bounds at a point."""
         return self.admissible.at_point(x, r).section(x)
 
@@ -143,13 +143,13 @@ class DenseProblem(OneRank):
     def local_error(self, x: np.ndarray, r: np.ndarray) -> float:
         """Largest change of a multiplier by its own projected step, over the largest multiplier."""
         local = 1.0 / self.diagonal
-        change = np.abs(x - brute_projection(self.bounds(x, r), x - local * r)).max(initial=0.0)
+        change = np.abs(x - brute_projection(self.section_at(x, r), x - local * r)).max(initial=0.0)
         largest = np.abs(x).max(initial=0.0)
         return float(change / largest if largest > 0.0 else change > 0.0)
 
     def energy_bound(self, x: np.ndarray, r: np.ndarray, error: float) -> float:
         """Bound by a displacement with the best gap and slip of each node, the others fixed."""
-        lam = self.bounds(x, r)
+        lam = self.section_at(x, r)
         inverse = np.linalg.inv(self.A)
         stiffness = np.diag(inverse)
         rest = np.zeros_like(r)

@@ -28,12 +28,12 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     largest x, y and z, up to rounding, and finally by their order in the mesh file.
     """
     mesh, nodes, cells = V.mesh, V.dofmap.index_map, V.dofmap.list
-    comm, count = mesh.comm, nodes.size_local + nodes.num_ghosts
+    comm, node_count = mesh.comm, nodes.size_local + nodes.num_ghosts
     # a graph of nodes and cells, since a graph of nodes alone would have many times the edges
-    cell = np.repeat(np.arange(count, count + len(cells)), cells.shape[1])
-    shape = (count + len(cells),) * 2
+    cell = np.repeat(np.arange(node_count, node_count + len(cells)), cells.shape[1])
+    shape = (node_count + len(cells),) * 2
     graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=shape)
-    local = connected_components(graph, directed=False)[1][:count]
+    local = connected_components(graph, directed=False)[1][:node_count]
 
     # Parts on two ranks belong to one body if a node of one part is a ghost in the other part.
     sizes = comm.allgather(int(local.max(initial=-1)) + 1)
@@ -45,12 +45,12 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     total = sum(sizes)
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
     _, merged = connected_components(graph, directed=False)
-    body, number = merged[local], int(merged.max(initial=-1)) + 1
+    body, count = merged[local], int(merged.max(initial=-1)) + 1
 
-    bounds = _ranges(comm, body, number, V.tabulate_dof_coordinates())
+    bounds = _extremes(comm, body, count, V.tabulate_dof_coordinates())
     in_file = np.asarray(mesh.geometry.input_global_indices)[geometry_dofmap(mesh)]
     body_of_cell = body[cells[: len(in_file), 0]]
-    in_file = _ranges(comm, body_of_cell, number, in_file.min(axis=1, keepdims=True))[:, 0]
+    in_file = _extremes(comm, body_of_cell, count, in_file.min(axis=1, keepdims=True))[:, 0]
     # steps between sorted coordinates that are rounding do not count
     places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
     for place, values in zip(places.T, bounds.T, strict=True):
@@ -74,10 +74,10 @@ def labels_of(
     return np.asarray(exchange(comm, label[asked - start], source)[0])
 
 
-def _ranges(comm: MPI.Comm, body: npt.NDArray[Any], number: int, values: Array) -> Array:
-    """Return the least values of each body, and then the largest (number, 2 k). Collective."""
+def _extremes(comm: MPI.Comm, body: npt.NDArray[Any], count: int, values: Array) -> Array:
+    """Return the least values of each body, and then the largest (count, 2 k). Collective."""
     k = values.shape[1]
-    ranges: Array = np.full((number, 2 * k), np.inf)
+    ranges: Array = np.full((count, 2 * k), np.inf)
     np.minimum.at(ranges, body, np.hstack([values, -values]))
     ranges = reduce_array(comm, ranges, MPI.MIN)
     ranges[:, k:] *= -1.0
@@ -90,14 +90,14 @@ class Bodies:
 
     Attributes:
         tag_names: for each body the name of the tag that all its cells have; "" if there is none.
-        label: (owned nodes of V,) the body of each node, in 0, ..., number - 1.
-        bounds: (number, 6) bounding box of each body: least x, y, z, then largest [length].
-        nodes: (number,) number of nodes of V in each body.
+        label: (owned nodes of V,) the body of each node, in 0, ..., count - 1.
+        bounds: (count, 6) bounding box of each body: least x, y, z, then largest [length].
+        nodes: (count,) number of nodes of V in each body.
         arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
             body, divided by the length of the box's diagonal.
     """
 
-    number: int
+    count: int
     tag_names: tuple[str, ...]
     label: npt.NDArray[np.int64]
     bounds: Array
@@ -108,23 +108,23 @@ class Bodies:
     def from_space(cls, V: Any, cell_tags: Any = None) -> Bodies:
         """Find the bodies of a mesh, which `NamedTags` of its cells, if any, name. Collective."""
         label = label_bodies(V)
-        number = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
-        bounds = _ranges(V.mesh.comm, label, number, V.tabulate_dof_coordinates())
-        tag_names = _tag_names(V, label, number, cell_tags)
+        count = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
+        bounds = _extremes(V.mesh.comm, label, count, V.tabulate_dof_coordinates())
+        tag_names = _tag_names(V, label, count, cell_tags)
         label = label[: V.dofmap.index_map.size_local]
         centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
         size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
         # scaled coordinates, for rotations of each body
         arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / size[label, None]
-        nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=number))
-        return cls(int(number), tag_names, label, bounds, nodes, arm)
+        nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=count))
+        return cls(int(count), tag_names, label, bounds, nodes, arm)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Unique names: that of the tag, the number without a tag, or both if bodies share it."""
-        count = Counter(self.tag_names)
+        holders = Counter(self.tag_names)
         return tuple(
-            name if name and count[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
+            name if name and holders[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
             for k, name in enumerate(self.tag_names, start=1)
         )
 
@@ -139,7 +139,7 @@ class Bodies:
         modes = np.concatenate([translations, rotations])  # (mode, node, component)
         mode, node, component = np.nonzero(modes)
         entries = (node * dim + component, self.label[node] * len(modes) + mode)
-        shape = (len(self.arm) * dim, self.number * len(modes))
+        shape = (len(self.arm) * dim, self.count * len(modes))
         return csr_array((modes[mode, node, component], entries), shape=shape)
 
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
@@ -147,7 +147,7 @@ class Bodies:
         box = self.bounds[index]
         size = float(np.linalg.norm(box[3:] - box[:3]))
         tags = [f" ({name})" if name else "" for name in self.tag_names]
-        text = f"body {index + 1} of {self.number}{tags[index]}, between "
+        text = f"body {index + 1} of {self.count}{tags[index]}, between "
         text += f"{_point(box[:3], size)} and {_point(box[3:], size)}"
         if companions:
             named = companions[:6]  # of walls of bricks there are many
@@ -158,16 +158,16 @@ class Bodies:
         return text
 
 
-def _tag_names(V: Any, body: npt.NDArray[np.int64], number: int, cell_tags: Any) -> tuple[str, ...]:
+def _tag_names(V: Any, body: npt.NDArray[np.int64], count: int, cell_tags: Any) -> tuple[str, ...]:
     """Return for each body the name of the tag that all its cells have, else "". Collective."""
     if cell_tags is None:
-        return ("",) * number
+        return ("",) * count
     body_of_cell = body[V.dofmap.list[:, 0]]
     tag = np.full((len(body_of_cell), 1), np.inf)
     tag[cell_tags.indices, 0] = cell_tags.values
     return tuple(
         cell_tags.names.get(least, "") if least == largest else ""
-        for least, largest in _ranges(V.mesh.comm, body_of_cell, number, tag)
+        for least, largest in _extremes(V.mesh.comm, body_of_cell, count, tag)
     )
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca.errors import ContactError
@@ -93,6 +93,15 @@ def sparse_matrix(rows: csr_array, columns: tuple[int, int], comm: Any) -> PETSc
     matrix = PETSc.Mat().createAIJ(sizes, csr=(*pattern, rows.data), comm=comm)
     matrix.assemble()
     return matrix
+
+
+def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) -> PETSc.Mat:
+    """Return a PETSc matrix of this rank's sparse rows, in blocks, with global columns. Collective.
+
+    The index map, with `block_size` columns for each index, is that of the columns.
+    """
+    columns = block_size * index_map.size_local, block_size * index_map.size_global
+    return sparse_matrix(vstack(blocks, format="csr"), columns, comm)
 
 
 def dense_matrix(rows: Array, comm: Any) -> PETSc.Mat:

@@ -166,7 +166,7 @@ class ContactSystem(PetscOwner):
     @property
     def bodies_found(self) -> str:
         """The number of bodies and of the rigid motions that K resists weakly, as text."""
-        return f"{self.bodies.number}{'' if self._modes is None else self._modes.summary}"
+        return f"{self.bodies.count}{'' if self._modes is None else self._modes.summary}"
 
     def check_suits(self, options: SolverOptions) -> None:
         """Check that options suit the bodies and the form. Not collective."""
@@ -232,7 +232,7 @@ class ContactSystem(PetscOwner):
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective."""
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
-            self._state = self._state.along_tangents(jump)
+            self._state = self._state.with_tangents_of(jump)
             self._replace_jump(jump)
 
     @property
@@ -270,10 +270,10 @@ class ContactSystem(PetscOwner):
     def begin_solve(self) -> None:
         """Pair where obstacles have moved, and go to where the next solve starts. Collective."""
         self.pair_where_changed(self._state.accepted.configuration)
-        self.state = self.start
+        self.state = self.state_at_start
 
     @property
-    def start(self) -> StepState:
+    def state_at_start(self) -> StepState:
         """The state from which the next solve begins with the present pairing. Collective."""
         return self.state.at_start(self._depends_on_start)
 

@@ -175,10 +175,10 @@ class StepState:
         unknowns = self.accepted.unknowns if is_trial else unknowns
         return replace(self, multipliers=self.accepted.multipliers, unknowns=unknowns)
 
-    def along_tangents(self, jump: JumpOperator) -> StepState:
-        """Return the state on a B with rotated tangents. Not collective."""
+    def with_tangents_of(self, jump: JumpOperator) -> StepState:
+        """Return the state on a B that differs in its tangents alone. Not collective."""
         carry = Carry(self.jump, jump)
-        origin = carry.residuals(self.history.origin)
+        origin = carry.jumps(self.history.origin)
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
@@ -189,7 +189,7 @@ class StepState:
         so far.
         """
         carry = Carry(self.jump, jump)
-        kept = carry.residuals(self.jump.of_displacement(u) - self.history.origin)
+        kept = carry.jumps(self.jump.of_displacement(u) - self.history.origin)
         accepted, origin = self.accepted.displacement, np.zeros(len(jump.gap))
         rows = jump.discs.tangential
         origin[rows] = (jump.of_displacement(u) - kept)[rows]

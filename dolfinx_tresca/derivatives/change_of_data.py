@@ -290,7 +290,7 @@ class DataOfSolution:
         def of_moved(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
             """Return the offsets and the radii with the rows of another B."""
             radius = side.bounded(contact.bounds).section(x).radius
-            slip_origin = Carry(jump, side).residuals(origin)
+            slip_origin = Carry(jump, side).jumps(origin)
             offset = side.gap - jump_of_u + slip_origin
             return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
 

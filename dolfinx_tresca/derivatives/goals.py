@@ -29,6 +29,7 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, unit
 from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.petsc import as_petsc
 from dolfinx_tresca.derivatives.change_of_data import (
     Control,
     DataOfSolution,
@@ -39,7 +40,7 @@ from dolfinx_tresca.derivatives.change_of_data import (
 from dolfinx_tresca.derivatives.linearised import ADJOINT_ACCURACY, LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
+from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.pair import (
     ContactForce,
     Goal,

@@ -98,9 +98,9 @@ class LinearisedContact:
     def _states(self) -> tuple[Face, Array, csr_array]:
         """The face, the diagonal (size,) of C, and I + Q (size, size). Collective."""
         dual, x, r = self.dual, self.multipliers, self.gradient
-        cones, target = dual.admissible.at_point(x, r), dual.decoupled_minimiser(x, r)
-        lam = cones.section(x)
-        face = lam.face(target)
+        cones, target = dual.admissible.at_point(x, r), dual.local_minimiser(x, r)
+        section = cones.section(x)
+        face = section.face(target)
         slope, by_slip = cones.slopes(x, face.slip)
         if reduce_array(dual.jump.comm, float(by_slip.any())) > 0.0:
             raise InputError(
@@ -108,7 +108,7 @@ class LinearisedContact:
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
         follow = cones.nodal_matrix(np.ones_like(x), (face.radial, cones.at_normals(slope)))
-        return face, lam.circle_stiffness(r, face), follow
+        return face, section.circle_stiffness(r, face), follow
 
     def log_edge(self) -> None:
         """Log how many nodes are about to change their state, if there are any. Collective."""

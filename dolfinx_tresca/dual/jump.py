@@ -17,9 +17,9 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, dots
 from dolfinx_tresca._base.parallel import RankReductions
-from dolfinx_tresca._base.petsc import PetscOwner
+from dolfinx_tresca._base.petsc import PetscOwner, as_petsc
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, friction_discs, with_tangents_along_axes
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, assemble_B, joined
+from dolfinx_tresca.pairing.operators import PairOperators, assemble_B, joined
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet, FrictionCones, NodalCurves
 from dolfinx_tresca.stiffness.frames import BodyFrames
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -63,7 +63,8 @@ class JumpOperator(PetscOwner):
 
     Attributes:
         frames: the frames of bodies that have turned; None: there are none.
-        slices: the positions of each pair's normal and tangential multipliers.
+        slices: the positions of each pair's own normal and tangential multipliers; those of other
+            pairs may act on it, too (`by_pair`).
         nodes: the positions of each pair's nodes among the nodes of all pairs.
         row_nodes: (size,) the position of each row's node among the nodes of all pairs.
         is_tangential: (size,) whether a row is tangential.
@@ -169,15 +170,15 @@ class JumpOperator(PetscOwner):
             _scaled(np.concatenate([getattr(bounds, name) for bounds in slip_bounds]), by, count)
             for name, by in factors.items()
         )
-        lam = dataclasses.replace(self.discs, radius=constant)
+        given = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
-            return lam
+            return given
         root = np.ones(count)
         root[: len(self._root_areas)] = np.where(self._root_areas > 0.0, self._root_areas, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
-            **vars(lam), coefficient=coefficient, limit=limit, curves=NodalCurves(curves, root)
+            **vars(given), coefficient=coefficient, limit=limit, curves=NodalCurves(curves, root)
         )
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:

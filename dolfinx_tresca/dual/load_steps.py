@@ -46,12 +46,12 @@ def moved_jump(
     system, V = before.system, u.function_space
     stay = [old.bonded or not new for old, new in zip(before.pairs, anew, strict=True)]
     values = u.x.array.reshape(-1, V.dofmap.index_map_bs)
-    straight = straightened(V, values)
+    straight_u = straightened(V, values)
     operators = list(before.pairs)
     for number, old in enumerate(before.pairs):
         numbers = old.undeformed.group.numbers
         if number == numbers[0] and not all(stay[k] for k in numbers):
-            paired = pair_displaced_surfaces(V, old.undeformed, straight)
+            paired = pair_displaced_surfaces(V, old.undeformed, straight_u)
             for k, operator in zip(numbers, paired, strict=True):
                 stay[k] = before.pairs[k].bonded
                 operators[k] = before.pairs[k] if stay[k] else operator
@@ -61,8 +61,8 @@ def moved_jump(
         closings = jump.closings(moves)
         for k, (new, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
-                if straight is not values:
-                    moves.x.array[:] = _bent_primary(V, straight, values, pair, new).ravel()
+                if straight_u is not values:
+                    moves.x.array[:] = _bent_primary(V, straight_u, values, pair, new).ravel()
                     closings = jump.closings(moves)
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
                 distance = new.distance + new.secondary_sagitta - raised + closings[k]
@@ -72,7 +72,7 @@ def moved_jump(
 
 
 def _bent_primary(
-    V: Any, straight: Array, u: Array, pair: ContactPair, operators: PairOperators
+    V: Any, straight_u: Array, u: Array, pair: ContactPair, operators: PairOperators
 ) -> Array:
     """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
 
@@ -80,11 +80,11 @@ def _bent_primary(
     opposite to secondary nodes. If the true surface of a side is known, primary edges are
     straight, too: the height of these surfaces over the facets is kept.
 
-    Displacements are arrays (nodes, dim of space) [length]; `straight` is `straightened` u.
+    Displacements are arrays (nodes, dim of space) [length]; `straight_u` is `straightened` u.
     """
     sides = operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
-        return straight
+        return straight_u
     if pair.touches_itself:  # the tags do not tell primary from secondary nodes
         numbers = np.unique(gather_rows(V.mesh.comm, np.unique(operators.primary.indices)))
         nodes = V.dofmap.index_map.global_to_local(numbers)
@@ -92,7 +92,7 @@ def _bent_primary(
     else:
         facets = pair.facet_tags.find(pair.primary)
         nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-    result = straight.copy()
+    result = straight_u.copy()
     result[nodes] = u[nodes]
     return result
 
@@ -114,9 +114,9 @@ class Carry:
         """Convert multipliers (size,) to the new B. Not collective."""
         return self._carried(x * self._before.stress_scale) / self._after.stress_scale
 
-    def residuals(self, r: Array) -> Array:
-        """Convert residuals or gradients (size,) to the new B. Not collective."""
-        return self._carried(r * self._before.length_scale) / self._after.length_scale
+    def jumps(self, jumps: Array) -> Array:
+        """Convert scaled jumps (size,) to the new B. Not collective."""
+        return self._carried(jumps * self._before.length_scale) / self._after.length_scale
 
     def _carried(self, values: Array) -> Array:
         """Convert tractions [stress] or jumps [length], (size,), to the new B."""

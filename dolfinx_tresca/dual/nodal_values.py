@@ -22,7 +22,7 @@ from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, summed_at_nodes
 from dolfinx_tresca.errors import InputError, shown
-from dolfinx_tresca.scene.friction import ScalarField, VectorField
+from dolfinx_tresca.scene.friction import ScalarField, VectorField, expression_of
 
 #: Step of central differences, relative to the size of a Constant, or to the extent of the mesh if
 #: an obstacle moves. The truncation error is about the square of the step, the rounding error about
@@ -42,8 +42,7 @@ def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
     """Return the Constants and Functions in a field, and the variables of a Python function."""
     if isinstance(field, tuple):
         return [variable for component in field for variable in inputs_of(component)]
-    if isinstance(field, fem.Expression):
-        field = field.ufl_expression
+    field = expression_of(field)
     variables: list[Any] = []
     if isinstance(field, Expr):
         variables = list(traverse_unique_terminals(field))
@@ -134,8 +133,7 @@ class NodalValues:
             InputError: the field is on another mesh, or a function returns neither one value nor
                 one value for each point.
         """
-        if isinstance(field, fem.Expression):
-            field = field.ufl_expression
+        field = expression_of(field)
         if isinstance(field, fem.Constant):
             field = field.value
         if isinstance(field, fem.Function):
@@ -188,8 +186,7 @@ class NodalValues:
         result is None if the scalar does not depend on the control.
         """
         is_constant = isinstance(control, fem.Constant)
-        if isinstance(field, fem.Expression):
-            field = field.ufl_expression
+        field = expression_of(field)
         if callable(field) and not isinstance(field, Expr):
             comm, values = self._V.mesh.comm, partial(self.values_at, field, nodes, name, 1)
             along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)

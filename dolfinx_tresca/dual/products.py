@@ -317,7 +317,7 @@ class ContactCompliance(PetscOwner):
         self._store: KnownProducts | None = None
         if jump.system.component is not None:
             with destroyed_on_error(solver):
-                _ = self.certificate  # now, since it raises errors of the scene
+                _ = self.error_bound  # now, since it raises errors of the scene
 
     def destroy(self) -> None:
         """Free the PETSc objects, and those of the solver. Collective."""
@@ -325,7 +325,7 @@ class ContactCompliance(PetscOwner):
         self.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
-        vars(self).pop("certificate", None)
+        vars(self).pop("error_bound", None)
         if "near_field" in vars(self):
             self.near_field.destroy()
 
@@ -423,7 +423,7 @@ class ContactCompliance(PetscOwner):
         return FloatingBodies(self.springs.modes, U, stiffness, product(self.jump.matrix, U))
 
     @cached_property
-    def certificate(self) -> EnergyBound:
+    def error_bound(self) -> EnergyBound:
         """The object that bounds errors in the energy norm. Collective."""
         return EnergyBound(self.jump, self.nodal_stiffness)
 

@@ -268,7 +268,7 @@ class DualProgram:
             jump = self.jump.of_unknowns(u)
         return max(energy, 0.0), jump  # the energy of a rigid motion is rounding
 
-    def bounds(self, x: Array, r: Array) -> FeasibleSet:
+    def section_at(self, x: Array, r: Array) -> FeasibleSet:
         """Return Lambda with the slip bounds at the pressures and slips of a point."""
         return self.admissible.at_point(x, r).section(x)
 
@@ -277,9 +277,9 @@ class DualProgram:
 
         Here u* is the exact solution of the discrete problem.
         """
-        return self.compliance.certificate.energy_bound(self.bounds(x, r), x, r, error)
+        return self.compliance.error_bound.energy_bound(self.section_at(x, r), x, r, error)
 
-    def decoupled_minimiser(self, x: Array, r: Array) -> Array:
+    def local_minimiser(self, x: Array, r: Array) -> Array:
         """Return x - `nodal_stiffness` r, (size,): each node's minimiser with fixed neighbours.
 
         The projection of these multipliers onto Lambda is the state that each node would take if
@@ -304,13 +304,13 @@ class DualProgram:
         return change / traction if traction > 0.0 else float(change > 0.0)
 
     def local_change(self, x: Array, r: Array) -> tuple[float, float]:
-        """Return the largest change of tractions from x to the nodes' own minimisers. Collective.
+        """Return the largest change of tractions from x to the nodes' local minimisers. Collective.
 
-        The minimisers are the projection of `decoupled_minimiser` onto Lambda.
+        The minimisers are the projection of `local_minimiser` onto Lambda.
 
         The result is the change and the largest traction [stress].
         """
-        change = x - self.bounds(x, r).project(self.decoupled_minimiser(x, r))
+        change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
         sizes = [self._largest_stress(multipliers) for multipliers in (change, x)]
         largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
         return float(largest), float(traction)
@@ -383,7 +383,7 @@ class DualProgram:
         work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
         r = self.gradient_of(u) - self.jump_of_tools(c)
         work += float(self.constraints.values[self.of_tools] @ c[self.of_tools])
-        friction = reduce_array(self.jump.comm, self.bounds(x, r).dissipation(r))
+        friction = reduce_array(self.jump.comm, self.section_at(x, r).dissipation(r))
         energy = 0.5 * elastic - work
         dual = energy - float(self.inner(x, r)) - 0.5 * error**2
         return energy + float(friction), dual
@@ -401,24 +401,24 @@ def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
     Within the accuracy of the solution, these rows and discs may have either state, so that
     derivatives of goals are one-sided.
     """
-    lam, scale = dual.bounds(x, r), dual.jump.stress_scale
+    section, scale = dual.section_at(x, r), dual.jump.stress_scale
     change, traction = dual.local_change(x, r)
     limit = max(change, EDGE * traction)
-    target = dual.decoupled_minimiser(x, r)
-    rows = int((np.abs(target * scale)[lam.normal] <= limit).sum())
-    return rows, int(discs_at_edge(lam, target, scale, limit).sum())
+    target = dual.local_minimiser(x, r)
+    rows = int((np.abs(target * scale)[section.normal] <= limit).sum())
+    return rows, int(discs_at_edge(section, target, scale, limit).sum())
 
 
-def discs_at_edge(lam: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
+def discs_at_edge(section: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
     """Return whether the minimiser of each disc lies on its circle, within the error.
 
     The result is an array (n_discs,), False for discs without friction.
 
-    The radii of Lambda are the slip bounds, the target is the `decoupled_minimiser`, and the error
+    The radii of Lambda are the slip bounds, the target is the `local_minimiser`, and the error
     is that of a traction [stress].
     """
-    scale = np.ones(len(lam.radius))
-    scale[lam.node] = stress_scale[lam.tangential]
-    has_friction = np.isfinite(lam.radius) & (lam.radius > 0.0)
-    distance = np.abs(lam.norms(target) - np.where(has_friction, lam.radius, 0.0)) * scale
+    scale = np.ones(len(section.radius))
+    scale[section.node] = stress_scale[section.tangential]
+    has_friction = np.isfinite(section.radius) & (section.radius > 0.0)
+    distance = np.abs(section.norms(target) - np.where(has_friction, section.radius, 0.0)) * scale
     return np.asarray(has_friction & (distance < error))

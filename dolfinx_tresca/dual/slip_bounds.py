@@ -29,7 +29,6 @@ from dolfinx_tresca.scene.friction import (
     Bound,
     Friction,
     ScalarField,
-    invalid,
 )
 from dolfinx_tresca.solvers.feasible_set import Curve
 
@@ -301,8 +300,9 @@ class SlipBounds:
         with errors_on_all_ranks(self._comm):
             bad = ~(values >= zero)
             if bad.any():
+                fault = "NaN" if np.isnan(values[bad][0]) else "negative"
                 raise InputError(
-                    f"{name} must not be {invalid(values[bad][0])}, found {values[bad][0]:g} "
+                    f"{name} must not be {fault}, found {values[bad][0]:g} "
                     f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {self._comm.rank}."
                 )
             if name.startswith(TERMS["coefficient"]) and np.isinf(values).any():

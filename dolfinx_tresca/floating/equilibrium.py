@@ -278,7 +278,7 @@ class FloatingBodies:
         """The body of each mode; each tool counts as a further body."""
         if self.tools is None:
             return self.modes.body
-        owners = [self.modes.bodies.number + motion.pairs[0] for motion in self.tools.motions]
+        owners = [self.modes.bodies.count + motion.pairs[0] for motion in self.tools.motions]
         return np.append(self.modes.body, owners)
 
     def _check_resisted(
@@ -341,7 +341,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     The `gram` (m, m) has the products of the modes' jumps, with 1 on the diagonal.
 
     Returns:
-        the components (m, number) of the motions in the modes, empty if there is no such motion;
+        the components (m, count) of the motions in the modes, empty if there is no such motion;
         and the number of other bodies that contact does not hold either.
     """
     m, entries = len(body), gram.tocoo()
@@ -366,7 +366,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
 
 
 def _moving(motions: Array, body: Indices) -> Indices:
-    """Return the bodies that move in motions with components (m, number); body (m,) of modes."""
+    """Return the bodies that move in motions with components (m, count); body (m,) of modes."""
     lengths = np.linalg.norm(motions, axis=1)
     # twice or half the number changes no message of the tests
     moving: Indices = np.unique(body[lengths > 1e-3 * lengths.max(initial=0.0)])

@@ -71,7 +71,7 @@ class RigidBodyModes:
     @property
     def dim(self) -> int:
         """The dimension of space."""
-        return 3 if self.mode_components.shape[0] == 6 * self.bodies.number else 2
+        return 3 if self.mode_components.shape[0] == 6 * self.bodies.count else 2
 
     def describe(self, components: Array) -> str:
         """Return in words a body that moves, its motion, and the bodies that also move. Collective.
@@ -82,7 +82,7 @@ class RigidBodyModes:
         The components are (k,), or (k, columns) for several motions.
         """
         moved = self.mode_components @ components.reshape(len(self), -1)
-        moved = moved.reshape(self.bodies.number, -1, moved.shape[1])
+        moved = moved.reshape(self.bodies.count, -1, moved.shape[1])
         lengths = np.linalg.norm(moved, axis=(1, 2))
         moving = np.flatnonzero(lengths > NAMED_PART * lengths.max())
         # with half the fraction, a body may be described that turns little while another one falls
@@ -122,13 +122,13 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))
     free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
     gram = sums.sparse_inner(free, free)
-    body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.number))
+    body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.count))
 
     # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
     stiffness = largest / bodies.nodes ** (2.0 / dim)
     # rounding: the product with K adds some hundred entries of each row, which cancel each other
     nothing = 8.0 * ROUNDING * largest
-    held = reduce_array(comm, np.bincount(label, prescribed, minlength=bodies.number)) > 0.0
+    held = reduce_array(comm, np.bincount(label, prescribed, minlength=bodies.count)) > 0.0
     # a slender body that is clamped somewhere yields to rotations, but does not move as a whole
     limit = np.where(held, nothing, np.maximum(SOFT_STIFFNESS * stiffness, nothing))
     negative = resistance < -1e-8 * stiffness[body]  # less is rounding
@@ -151,24 +151,22 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
     """
     node, component = np.nonzero(free.reshape(diagonal.shape))
     entries, label = diagonal[node, component], bodies.label[node]
-    least, most = np.full(bodies.number, np.inf), np.zeros(bodies.number)
+    least, most = np.full(bodies.count, np.inf), np.zeros(bodies.count)
     np.fmin.at(least, label, entries)
     np.fmax.at(most, label, entries)
     smallest, largest = reduce_array(comm, least, MPI.MIN), reduce_array(comm, most, MPI.MAX)
     if smallest.min() <= 0.0:
         body, value = int(smallest.argmin()), smallest.min()
         stiffness = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
-        number = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
+        count = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
         raise indefinite_error(
-            f"the stiffness is {stiffness} at {number} of {bodies.nodes[body]} nodes of "
+            f"the stiffness is {stiffness} at {count} of {bodies.nodes[body]} nodes of "
             f"{bodies.describe(body)}"
         )
     return np.where(largest > 0.0, largest, 1.0)
 
 
-def _stationary(
-    gram: csr_array, energy: csr_array, number: int
-) -> tuple[Indices, Array, csr_array]:
+def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices, Array, csr_array]:
     """Return the rigid motions of each body against which the stiffness of K is stationary.
 
     The matrix `gram` (m, m) has the inner products of the rigid body modes R on free degrees of
@@ -180,7 +178,7 @@ def _stationary(
         out; the other motions are orthonormal on free degrees of freedom.
     """
     values, vectors = eigenpairs(gram)
-    of_bodies = values.reshape(number, -1)
+    of_bodies = values.reshape(count, -1)
     independent = of_bodies > 1e-10 * of_bodies.max(axis=1, keepdims=True)
     body, column = np.nonzero(independent)
     unit = vectors[:, independent.ravel()] @ diags_array(1.0 / np.sqrt(of_bodies[body, column]))
@@ -222,7 +220,7 @@ class FixingSprings:
         """
         modes, label = self.modes, self.modes.bodies.label
         moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
-        numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.number))
+        numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.count))
         start = modes.comm.scan(len(label)) - len(label)
         chance = splitmix64(np.arange(start, start + len(label), dtype=np.uint64)) / 2.0**64
         chosen = moves & (chance * numbers[label] <= FIXING_NODES)
@@ -269,7 +267,7 @@ class FixingSprings:
         soft, body, n = ~modes.floats, modes.body, forces.shape[0]
         place = np.searchsorted(body, body, side="right") - np.arange(k)
         label = np.repeat(modes.bodies.label, modes.dim)
-        moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.number))[:, body]
+        moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
         force, answer = K.createVecLeft(), K.createVecRight()
         V = csr_array(modes.basis.shape)
         for number in np.unique(place[soft]):

@@ -156,7 +156,7 @@ class Bodies:
         """
         cells, d = self.cells, self.cells.d
         given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
-        at_solution = dual.bounds(multipliers, dual.gradient_of(u.x.petsc_vec))
+        at_solution = dual.section_at(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
         surfaces = [

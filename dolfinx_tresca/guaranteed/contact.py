@@ -12,11 +12,12 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
 from dolfinx_tresca._base.parallel import reduce_array, summed_at_nodes
+from dolfinx_tresca._base.petsc import as_petsc
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import MeshCells, bernstein, mean_products, pair_means
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, joined
+from dolfinx_tresca.pairing.operators import PairOperators, joined
 from dolfinx_tresca.pairing.pair_surfaces import pair_group
 from dolfinx_tresca.pairing.undeformed import PairGroup
 from dolfinx_tresca.scene.friction import Bonded, Frictionless

@@ -124,9 +124,9 @@ def handle(label: str, color: str, marker: str = "", **options: Any) -> Any:
 
 
 def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, float]:
-    """Return the values of the first and the last colour, and the largest value, for values >= 0.
+    """Return the ends of a colour bar for values (n,) >= 0, and the largest value.
 
-    Colours begin at zero, unless all values are far from zero. With `clip` they may end, at a round
+    The bar begins at zero, unless all values are far from zero. With `clip` it may end, at a round
     number, below a few values that are much larger.
     """
     least, largest = float(values.min(initial=math.inf)), float(values.max(initial=0.0))
@@ -286,7 +286,7 @@ def skin(grid: Any) -> Any:
     return pyvista.wrap(surface.GetOutput())
 
 
-def straight(volume: Grid) -> Grid:
+def corner_grid(volume: Grid) -> Grid:
     """Return a grid in which tetrahedra and hexahedra have no nodes but their corners.
 
     Of tetrahedra and hexahedra of degree 2 VTK also draws faces between cells that have the nodes
@@ -310,7 +310,7 @@ def draw_bodies(
     deformed = bodies.warp_by_vector(name, factor=scale)
     faces, lift = skin(deformed), 4e-3 * bodies.length * normal
     # orientations of cells may differ: no creases in 2D, oriented faces in 3D
-    surface = skin(straight(volume).to_pyvista())
+    surface = skin(corner_grid(volume).to_pyvista())
     surface = surface.clean() if flat else surface.compute_normals(split_vertices=False)
     kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
     outline = surface.extract_feature_edges(40.0, **kinds)

@@ -39,10 +39,10 @@ from dolfinx_tresca._base.functions import (
     with_owned_values,
 )
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
-from dolfinx_tresca._base.petsc import dense_matrix
+from dolfinx_tresca._base.petsc import as_petsc, dense_matrix
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.pairing.facets import MESH_ROUNDING, tabulate
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
+from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 

@@ -131,14 +131,14 @@ def nodes_with_multipliers(
     masks.append(carries & ~nodes.free.all(axis=1))
     # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
     counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
-    total, paired, eligible, prescribed, common, number, partly = reduce_array(comm, counts)
+    total, paired, eligible, prescribed, common, carrying, partly = reduce_array(comm, counts)
     position = np.flatnonzero(carries)
-    if number > 0:
+    if carrying > 0:
         log(
             comm,
             "pairing: %s: %d of %d secondary nodes carry multipliers, %d of them prescribed in "
             "part; of the others %d face nothing, %d are prescribed and %d are on both sides",
-            *(pair, number, total, partly, total - paired, prescribed, common),
+            *(pair, carrying, total, partly, total - paired, prescribed, common),
         )
         return position
     hint, secondary, primary = "", pair.side("secondary"), pair.side("primary")
@@ -216,7 +216,7 @@ def couple(
         sums = redistribution(carries)
         weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", sums, integrals.hats), 0.0)
         scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-        dual = dual_coefficients(integrals.hats, carries) * scale[corners][:, :, None]
+        dual = dual_coefficients(integrals.hats, sums) * scale[corners][:, :, None]
         own = dual @ integrals.values
         jump = assemble_rows(nodes, corners, facets.nodes, own, columns)
         across = csr_array(jump.shape)
@@ -295,8 +295,8 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
     """Warn if nodes (n,) penetrate so little that errors of `sagitta` (n,) matter. Collective."""
     greatest = [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)]
     depth, height = reduce_array(comm, greatest, MPI.MAX)
-    inside, number = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
-    if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED_PART * number:
+    inside, count = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
+    if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED_PART * count:
         warn(
             comm,
             "contact pair %s: bodies overlap by up to %.3g, but curved surfaces are up to %.3g off "
@@ -307,18 +307,18 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
         )
 
 
-def dual_coefficients(hats: Array, carries: Mask) -> Array:
+def dual_coefficients(hats: Array, sums: Array) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
     (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is that of phi_i for i =
     j, else zero. So a nodal pressure is the nodal force divided by the covered area. The hat
-    functions of corners that carry no multiplier are first added to the others (`redistribution`);
-    a facet without multipliers has no basis. The basis sums to 1, so that constant pressures are
-    transferred exactly. `hats` (n, corners, corners) are the integrals phi_i phi_j.
+    functions of corners that carry no multiplier are first added to the others, by the `sums` of
+    `redistribution`; a facet without multipliers has no basis. The basis sums to 1, so that
+    constant pressures are transferred exactly. `hats` (n, corners, corners) are the integrals
+    phi_i phi_j.
     """
     every = np.eye(hats.shape[1])
-    sums = redistribution(carries)
     masses = sums @ hats @ sums.transpose(0, 2, 1)
     weights = masses.sum(axis=2)[:, :, None]
     # a mass matrix M of a strip is nearly singular; the coefficients (1 + t) D (M + t D)^-1, with
@@ -334,8 +334,8 @@ def redistribution(receives: Mask) -> Array:
     The values of corners that do not receive are added in equal parts to those of the others, so
     that the sum over a facet does not change.
     """
-    number = np.maximum(receives.sum(axis=1), 1)[:, None, None]
-    shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / number)
+    count = np.maximum(receives.sum(axis=1), 1)[:, None, None]
+    shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / count)
     return np.asarray(shares * receives[:, :, None])
 
 

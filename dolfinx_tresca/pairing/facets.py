@@ -404,9 +404,9 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
     near = dots(normals[corner], normals[partner]) >= math.cos(math.radians(EDGE_ANGLE))
     links = np.ones(near.sum()), (corner[near], partner[near])
     graph = coo_array(links, shape=(len(node), len(node)))
-    number, component = connected_components(graph, directed=False)
-    patches, patch = np.unique(node * number + component, return_inverse=True)
-    return patch, patches // max(number, 1)
+    count, component = connected_components(graph, directed=False)
+    patches, patch = np.unique(node * count + component, return_inverse=True)
+    return patch, patches // max(count, 1)
 
 
 def tangents(normals: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask, scaled_rows
-from dolfinx_tresca._base.petsc import sparse_matrix
+from dolfinx_tresca._base.petsc import as_petsc
 from dolfinx_tresca.pairing.undeformed import Undeformed
 
 #: Attributes of `PairOperators` with a row for each node.
@@ -180,12 +180,3 @@ def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
         for pair in pairs
     ]
     return as_petsc(V.dofmap.index_map, V.dofmap.index_map_bs, blocks, V.mesh.comm)
-
-
-def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) -> PETSc.Mat:
-    """Return a PETSc matrix of this rank's sparse rows, in blocks, with global columns. Collective.
-
-    The index map, with `block_size` columns for each index, is that of the columns.
-    """
-    columns = block_size * index_map.size_local, block_size * index_map.size_global
-    return sparse_matrix(vstack(blocks, format="csr"), columns, comm)

@@ -128,11 +128,11 @@ def _check_meshes_match(
     differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
     apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
     away = operators.nodes[apart]
-    number = V.mesh.comm.allreduce(len(np.unique(away)))
-    if number > 0:
+    count = V.mesh.comm.allreduce(len(np.unique(away)))
+    if count > 0:
         place = row_of_least(V.mesh.comm, -differ[apart], V.tabulate_dof_coordinates()[away])
         raise PairingError(
-            f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {number} '
+            f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {count} '
             f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
             f"({pair.side('primary')}) away from its nodes, most of all at "
             f"{shown_place(place)}. Mesh both surfaces alike, or leave out the argument: mortar "

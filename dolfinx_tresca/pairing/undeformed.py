@@ -132,13 +132,13 @@ class PairGroup:
         for i, j in combinations(range(len(self.pairs)), 2):
             if self.rank[i] == self.rank[j]:
                 continue
-            number = comm.allreduce(int((belongs[:, i] & belongs[:, j]).sum()))
-            if number:
+            count = comm.allreduce(int((belongs[:, i] & belongs[:, j]).sum()))
+            if count:
                 stronger = self.pairs[i if self.rank[i] > self.rank[j] else j]
                 warn(
                     comm,
                     "pairing: %d nodes belong to %s and to %s: they follow the law of %s, %s",
-                    *(number, self.pairs[i], self.pairs[j], stronger, stronger.friction),
+                    *(count, self.pairs[i], self.pairs[j], stronger, stronger.friction),
                     about=f"{self.pairs[i]}, {self.pairs[j]}",
                 )
 
@@ -258,15 +258,15 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
     tag_index = order[np.searchsorted(tags, facet_tags.values[chosen], sorter=order)]
     exterior = np.isin(facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
     counts = [np.bincount(index, minlength=len(tags)) for index in (tag_index, tag_index[exterior])]
-    for tag, number, outside in zip(tags, *reduce_array(comm, counts), strict=True):
-        if number == 0:
+    for tag, count, outside in zip(tags, *reduce_array(comm, counts), strict=True):
+        if count == 0:
             in_use = sorted(set().union(*comm.allgather(np.unique(facet_tags.values).tolist())))
             raise InputError(
                 f"no facet has the tag {tag} of the {side} side; the tags in use are {in_use}."
             )
-        if outside < number:
+        if outside < count:
             raise PairingError(
-                f"{number - outside} of the {number} facets with tag {tag} ({side} side) lie "
+                f"{count - outside} of the {count} facets with tag {tag} ({side} side) lie "
                 "inside a body: contact needs two surfaces with nodes of their own. Do not merge "
                 "the nodes of the bodies when meshing."
             )
@@ -316,11 +316,11 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
     # curve (2D) is its diameter, so it is compared with the largest facet
     expected = diameters**2 if facets.dim == 2 else largest
     empty = facets.areas <= (MESH_ROUNDING + facets.rounding) * expected
-    number, total = reduce_array(comm, np.array([empty.sum(), len(empty)]))
-    if number > 0:
+    count, total = reduce_array(comm, np.array([empty.sum(), len(empty)]))
+    if count > 0:
         where = row_of_least(comm, facets.file_numbers[empty, 0], facets.points[empty].mean(axis=1))
         raise PairingError(
-            f"{number} of the {total} facets of {pair.side(side)} ({side} side) have no area; "
+            f"{count} of the {total} facets of {pair.side(side)} ({side} side) have no area; "
             f"one is at {shown_place(where)}. Repair the mesh there."
         )
     return replace(facets, bent=bool(bent))

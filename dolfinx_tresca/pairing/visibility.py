@@ -256,8 +256,8 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
     points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
     dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * a)
-    number = 2 * a - dropped.sum(axis=1, keepdims=True)
-    place = np.minimum(np.arange(number.max(initial=1)), np.maximum(number - 1, 0))
+    count = 2 * a - dropped.sum(axis=1, keepdims=True)
+    place = np.minimum(np.arange(count.max(initial=1)), np.maximum(count - 1, 0))
     candidate = np.take_along_axis(np.argsort(dropped, axis=1, kind="stable"), place, axis=1)
     return np.take_along_axis(points, candidate[:, :, None], axis=1)
 
@@ -403,9 +403,9 @@ def facet_origins(V: Any, facets: Facets) -> Array:
     comm = V.mesh.comm
     labels = label_bodies(V)
     body = labels[V.dofmap.index_map.global_to_local(facets.nodes[:, 0])]
-    number = int(reduce_array(comm, labels.max(initial=-1), MPI.MAX)) + 1
-    count = reduce_array(comm, np.bincount(body, minlength=number))
-    area = reduce_array(comm, np.bincount(body, facets.areas, minlength=number))
+    bodies = int(reduce_array(comm, labels.max(initial=-1), MPI.MAX)) + 1
+    count = reduce_array(comm, np.bincount(body, minlength=bodies))
+    area = reduce_array(comm, np.bincount(body, facets.areas, minlength=bodies))
     size = (area / np.maximum(count, 1)) ** (1.0 / facets.dim)
     corners = facets.points[:, : facets.corners]
     centre = corners.mean(axis=1)

@@ -301,7 +301,7 @@ class ContactProcess(PetscOwner, Tabulated):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._check_material(material)
         path = Path(self.comm.bcast(str(path)))
-        write_state(path, self._contact.start, number, material)
+        write_state(path, self._contact.state_at_start, number, material)
 
     @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:

@@ -330,18 +330,18 @@ class TangentProblem(ContactSystem):
         without any multipliers normal rows of nodes that touch.
         """
         jump, multipliers = self.jump, self.state.multipliers
-        lam = jump.bounded(self.slip_bounds()).section(multipliers)
+        section = jump.bounded(self.slip_bounds()).section(multipliers)
         held: Mask = np.ones(len(multipliers), dtype=np.bool_)
         if self.comm.allreduce(bool(multipliers.any()), op=MPI.LOR):
-            held[lam.normal] = multipliers[lam.normal] > 0.0
+            held[section.normal] = multipliers[section.normal] > 0.0
             # bounds that depend on the pressure are known to the accuracy of their fixed point
-            sticks = lam.norms(multipliers) < (1.0 - ROUGH) * lam.radius
-            held[lam.tangential] = sticks[lam.node]
+            sticks = section.norms(multipliers) < (1.0 - ROUGH) * section.radius
+            held[section.tangential] = sticks[section.node]
             return held
         jumps = jump.of_unknowns(self.u.x.petsc_vec)
         (largest,) = largest_sizes(self.comm, jumps)
-        held[lam.normal] = (jump.gap - jumps)[lam.normal] <= TOUCHING * largest
-        held[lam.tangential] = False
+        held[section.normal] = (jump.gap - jumps)[section.normal] <= TOUCHING * largest
+        held[section.tangential] = False
         return held
 
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:

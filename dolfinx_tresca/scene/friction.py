@@ -34,7 +34,7 @@ VectorField: TypeAlias = (
 
 def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
     """Check the type and shape, () or (3,), of a field, whose values are checked at nodes."""
-    field = value.ufl_expression if isinstance(value, fem.Expression) else value
+    field = expression_of(value)
     if isinstance(field, Expr):
         _check_expression(field, shape, name)
     elif isinstance(field, type) or not callable(field):
@@ -48,9 +48,9 @@ def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: 
             )
 
 
-def invalid(number: float) -> str:
-    """Return the word for a number that is no slip bound: NaN passes no comparison with a bound."""
-    return "NaN" if math.isnan(number) else "negative"
+def expression_of(field: ScalarField | VectorField) -> Any:
+    """Return the UFL expression in a `fem.Expression`, and other fields as they are."""
+    return field.ufl_expression if isinstance(field, fem.Expression) else field
 
 
 def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
@@ -84,8 +84,7 @@ def field_text(value: ScalarField | VectorField) -> str:
         return f"Function '{value.name}'"
     if isinstance(value, fem.Constant):
         return f"Constant, now {numbers_text(value.value)}"
-    if isinstance(value, fem.Expression):
-        value = value.ufl_expression
+    value = expression_of(value)
     if isinstance(value, Expr):  # UFL's text of vectors has free indices, which nobody can read
         return _text(value) if value.ufl_shape == () else "an expression"
     return "a function of points" if callable(value) else numbers_text(value)
@@ -129,14 +128,14 @@ class FrictionCurve:
 
     def values(self, pressure: Array, slip: Array) -> Array:
         """Return F (n,) at pressures (n,) [stress] and slips (n,) [length]."""
-        result, number = self.function(pressure, slip), len(pressure)
+        result, count = self.function(pressure, slip), len(pressure)
         values = np.asarray(result)
-        if values.shape not in ((), (number,)) or values.dtype.kind not in "biuf":
+        if values.shape not in ((), (count,)) or values.dtype.kind not in "biuf":
             raise InputError(
                 "a coefficient that depends on pressure and slip must be real, a number or an "
-                f"array of shape ({number},), found {shown(result)} of type {values.dtype}."
+                f"array of shape ({count},), found {shown(result)} of type {values.dtype}."
             )
-        return np.broadcast_to(values.astype(np.float64), (number,))
+        return np.broadcast_to(values.astype(np.float64), (count,))
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
         """Return difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length]."""

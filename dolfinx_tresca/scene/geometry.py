@@ -258,15 +258,15 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     """Return whether a surface is a plane, or a curve is a straight line."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
-    points = _points_at(model, dim, entity, _grid(model, dim, entity, number=5))
+    points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(sizes[dim] <= 1e-9 * sizes[0])  # less is rounding
 
 
-def _grid(model: Any, dim: int, entity: int, number: int) -> Array:
-    """Return the parameters (number^dim, dim) of a grid of points on a surface or a curve."""
+def _grid(model: Any, dim: int, entity: int, per_axis: int) -> Array:
+    """Return the parameters (per_axis^dim, dim) of a grid of points on a surface or a curve."""
     low, high = model.getParametrizationBounds(dim, entity)
-    lines = np.linspace(low, high, number)
+    lines = np.linspace(low, high, per_axis)
     return np.stack(np.meshgrid(*lines.T), axis=-1).reshape(-1, dim)
 
 
@@ -321,7 +321,7 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     that it finds are farther away than the nearest ones, by up to 1e-3 of the size of the surface.
     """
     low, high = model.getParametrizationBounds(2, surface)
-    grid = _grid(model, 2, surface, number=32)
+    grid = _grid(model, 2, surface, per_axis=32)
     locate = partial(_points_at, model, 2, surface)
     samples = locate(grid)
     rounding = PROJECTION_ROUNDING * np.ptp(samples, axis=0).max()

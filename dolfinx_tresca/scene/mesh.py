@@ -297,11 +297,11 @@ def name_groups(model: Any, name: str) -> None:
                     "one body: export them without merging them (in Gmsh without fragment)."
                 )
             add((dim - 1, face), f"{of_body}/{i}")
-    number = len(model.getEntities(dim - 1))
-    free = number - len(model.getPhysicalGroups(dim - 1))
+    count = len(model.getEntities(dim - 1))
+    free = count - len(model.getPhysicalGroups(dim - 1))
     if free:
         raise MeshError(
-            f"{free} of the {number} faces in '{name}' belong to no body: they are an open shell. "
+            f"{free} of the {count} faces in '{name}' belong to no body: they are an open shell. "
             "Close it in the CAD program, or remove the faces."
         )
 

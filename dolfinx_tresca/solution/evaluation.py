@@ -126,7 +126,7 @@ def evaluate(
     The slip history that is returned is the one after this solution, if it becomes a load step.
     """
     B, comm = dual.jump, dual.jump.comm
-    lam = dual.bounds(solution.multipliers, solution.gradient)
+    section = dual.section_at(solution.multipliers, solution.gradient)
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
     error = dual.end_at(solution.multipliers, solved, solution.displacement_tolerance)
@@ -143,11 +143,11 @@ def evaluate(
     increment = jump + by_tools - dual.offset
     origin = dual.history.origin.copy()  # the next step starts from where tools are now
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
-    target = dual.decoupled_minimiser(solution.multipliers, r)
+    target = dual.local_minimiser(solution.multipliers, r)
     moved = dual.admissible.at_point(solution.multipliers, r).section(target)
     stick = moved.face(target).stick
     slip = np.zeros_like(jump)
-    slips = lam.tangential[~stick[lam.node]]
+    slips = section.tangential[~stick[section.node]]
     slip[slips] = increment[slips]
     dissipation = float(dual.inner(solution.multipliers, slip))
     increment, moved_by = (values * B.length_scale for values in (increment, slip))
@@ -165,7 +165,7 @@ def evaluate(
     force_on_nodes = B.system.displacement(in_space, "contact_force")
     displaced = u if B.frames is not None or B.system.is_tangent else None
     nodal = owned_values(force_on_nodes)
-    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.number)
+    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.count)
     pairs = B.by_pair
     fields: list[SurfaceFields] = []
     openings: list[float] = []
@@ -236,7 +236,7 @@ def evaluate(
         energy_error_bound=relative_error(dual, bound, norm),
         bound_is_rigorous=dual.compliance.exact,
         local_error=dual.local_error(solution.multipliers, r),
-        bound_error=_bound_error(lam, moved, comm),
+        bound_error=_bound_error(section, moved, comm),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
         counts=counts,
@@ -270,7 +270,7 @@ def node_values(
     Args:
         dual: the dual problem.
         normal: positions of the normal multipliers.
-        moved: feasible set at each node's own minimiser, see `DualProgram.decoupled_minimiser`.
+        moved: feasible set at each node's local minimiser, see `DualProgram.local_minimiser`.
         target: (size,) the minimisers.
         moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
         change: largest change of a node's tractions that the iteration leaves [stress].
@@ -345,13 +345,13 @@ def status_of_fields(
     return solution.status if ended_early else ContactStatus.STAGNATED
 
 
-def _bound_error(lam: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
+def _bound_error(section: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
     """Return the largest change of a slip bound, relative to the largest bound. Collective.
 
-    The tractions of each node move to the node's own minimiser, see
-    `DualProgram.decoupled_minimiser`.
+    The tractions of each node move to the node's local minimiser, see
+    `DualProgram.local_minimiser`.
     """
-    finite = np.isfinite(lam.radius)
-    before, after = lam.radius[finite], moved.radius[finite]
+    finite = np.isfinite(section.radius)
+    before, after = section.radius[finite], moved.radius[finite]
     change, largest = largest_sizes(comm, after - before, before)
     return change / largest if largest > 0.0 else float(change > 0.0)

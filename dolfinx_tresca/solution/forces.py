@@ -71,26 +71,26 @@ def moments(arm: Array, force: Array) -> Array:
 
 
 def resultants_on(
-    comm: Any, places: Array, forces: Array, index: Indices, number: int, point: Array
+    comm: Any, places: Array, forces: Array, index: Indices, count: int, point: Array
 ) -> tuple[Resultant, ...]:
     """Return resultants of forces (n, d) at places (n, d), about a point. Collective.
 
-    The index (n,) says to which of the resultants, of a given number, each force belongs.
+    The index (n,) says to which of the resultants, `count` in all, each force belongs.
     """
     both = np.hstack([forces, moments(places - point, forces)])
-    sums = np.zeros((number, both.shape[1]))
+    sums = np.zeros((count, both.shape[1]))
     np.add.at(sums, index, both)
     dim = forces.shape[1]
     return tuple(Resultant(row[:dim], row[dim:], point) for row in reduce_array(comm, sums))
 
 
 def nodal_resultants(
-    V: Any, forces: Array, displaced: fem.Function | None, index: Indices, number: int
+    V: Any, forces: Array, displaced: fem.Function | None, index: Indices, count: int
 ) -> tuple[Resultant, ...]:
     """Return resultants of nodal forces about the middle of their points. Collective.
 
     This is the centre of the box of all points with forces; without forces, the origin. Forces act
-    on the displaced nodes, or with None on the undeformed bodies; for index and number see
+    on the displaced nodes, or with None on the undeformed bodies; for index and count see
     `resultants_on`.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
@@ -102,7 +102,7 @@ def nodal_resultants(
     bounds = [loaded.min(axis=0, initial=np.inf), (-loaded).min(axis=0, initial=np.inf)]
     low, high = reduce_array(comm, bounds, MPI.MIN)
     centre = 0.5 * (low - high) if np.isfinite(low).all() else np.zeros(dim)
-    return resultants_on(comm, places, rows, index, number, centre)
+    return resultants_on(comm, places, rows, index, count, centre)
 
 
 def resultants_between(

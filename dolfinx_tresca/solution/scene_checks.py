@@ -105,10 +105,10 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     normal_equations = sums.sparse_inner(modes, modes).tocsc()
     rigid = spsolve(normal_equations, sums.inner(modes, values.ravel()))
     beyond = np.linalg.norm(values - (modes @ rigid).reshape(-1, dim), axis=1)
-    own_strain = np.zeros(bodies.number)
+    own_strain = np.zeros(bodies.count)
     np.maximum.at(own_strain, label, beyond / size[label])
     strain = reduce_array(comm, own_strain, MPI.MAX)
-    angle = np.linalg.norm(rigid.reshape(bodies.number, -1)[:, dim:], axis=1) / size
+    angle = np.linalg.norm(rigid.reshape(bodies.count, -1)[:, dim:], axis=1) / size
     # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
     angle[angle <= 2.0 * strain] = 0.0
     body = int(angle.argmax())
@@ -222,7 +222,7 @@ def hint_at_scene(
             nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
             sides.append(nodes[nodes < V.dofmap.index_map.size_local])
         on_bodies = np.array(
-            [np.bincount(bodies.label[side], minlength=bodies.number) for side in sides]
+            [np.bincount(bodies.label[side], minlength=bodies.count) for side in sides]
         )
         touches = reduce_array(comm, on_bodies) > 0  # (sides, bodies)
         if len(sides) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
@@ -262,7 +262,7 @@ def hint_at_overlap(
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
             continue
-        number = comm.allreduce(len(np.unique(paired.nodes[depth > rounding])))
+        count = comm.allreduce(len(np.unique(paired.nodes[depth > rounding])))
         # the least of all equally deep points: the same with any number of ranks
         deepest_points = points[paired.nodes[depth >= deepest - rounding]]
         place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
@@ -272,7 +272,7 @@ def hint_at_overlap(
             "along the normal at %d nodes of the secondary side, which so have no pressure to hold "
             "the sides apart. Prescribe no overlap, or make a side that can give way the secondary "
             "side",
-            *(pair, deepest, shown_place(place), number),
+            *(pair, deepest, shown_place(place), count),
             about=str(pair),
         )
 
@@ -291,14 +291,14 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
         x: (size,) multipliers of the solution.
         compliance: the largest eigenvalue of A, or a lower bound.
     """
-    lam = cones.section(x)
-    face = lam.face(2.0 * x)  # nodes on their circles slip
+    section = cones.section(x)
+    face = section.face(2.0 * x)  # nodes on their circles slip
     by_pressure, by_slip = cones.slopes(x, face.slip)
     assert cones.slip is not None
     at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x).radius
     slips = face.slip & (cones.slip > 0.0)
     mean = np.zeros_like(by_slip)
-    np.divide(lam.radius - at_rest, cones.slip, out=mean, where=slips)
+    np.divide(section.radius - at_rest, cones.slip, out=mean, where=slips)
     steepest = min(by_slip.min(initial=0.0), mean.min(initial=0.0))
     least = [by_pressure.min(initial=0.0), compliance * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)

@@ -15,9 +15,9 @@ through these algorithms to the table.
   follows the bounds, and the energy need not decrease from step to step.
 - `Iterate`: the present multipliers and their gradient, which is only as accurate as a step needs.
 - `FeasibleSet` is Lambda for given slip bounds, `FrictionCones` where bounds depend on pressure or
-  slip. The *section* of the cones at a point, which `DualProblem.bounds` returns, is the Lambda of
-  Tresca's law with the bounds at this point; for Coulomb's law, x minimises q over the section at
-  its own pressures. `Face`: which multipliers are pressed, stick, slip at a point.
+  slip. The *section* of the cones at a point (`DualProblem.section_at`) is the Lambda of Tresca's
+  law with the bounds at this point; for Coulomb's law, x minimises q over the section at its own
+  pressures. `Face`: which multipliers are pressed, stick, slip at a point.
 - `ProductStore`, `BlockBFGSModel`, `WholeModel`: known products, and the models made of them.
 - `SemismoothNewton`: Newton's method for the problem with a model; its points are `NewtonPoint`s,
   and `NodalMaps` are the sparse matrices of its steps.

@@ -79,7 +79,7 @@ class NaturalResidual:
 
     def norm_at(self, point: Point) -> float:
         """Return the natural residual, not divided by its scale. Collective."""
-        section, x = self._problem.bounds(point.x, point.r), point.x
+        section, x = self._problem.section_at(point.x, point.r), point.x
         change = norm(self._problem, x - section.project(x - self.rho * point.r))
         unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))
         return float(np.hypot(change, unbalanced)) / self.rho
@@ -120,7 +120,7 @@ def energy_error(problem: DualProblem, point: Point, error: float = 0.0) -> floa
     return relative_error(problem, bound, energy_norm(problem, point, error))
 
 
-def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
+def relative_error(problem: DualProblem, bound: float, displacement_norm: float) -> float:
     """Return an error bound divided by the norm of the displacement; 0 if both are rounding.
 
     If the contact carries all loads and no body deforms, the displacement and its error are both
@@ -128,9 +128,9 @@ def relative_error(problem: DualProblem, bound: float, norm: float) -> float:
 
     Collective.
     """
-    if bound == 0.0 or max(bound, norm) <= problem.energy_resolution():
+    if bound == 0.0 or max(bound, displacement_norm) <= problem.energy_resolution():
         return 0.0
-    return bound / norm if norm > 0.0 else float("inf")
+    return bound / displacement_norm if displacement_norm > 0.0 else float("inf")
 
 
 #: `SMALLEST_TOLERANCE` is the least relative energy error that is requested if the mesh's error
@@ -164,7 +164,7 @@ class History:
             yet known.
         residuals: relative natural residual of each iterate.
         q: q(lambda) of each iterate, with the energy of soft constraints.
-        errors: natural residual of each iterate, not divided by its scale.
+        residual_norms: natural residual of each iterate, not divided by its scale.
     """
 
     def __init__(
@@ -182,13 +182,13 @@ class History:
         self._mesh_decides = self.accuracy == np.inf
         self.residuals: list[float] = []
         self.q: list[float] = []
-        self.errors: list[float] = []
+        self.residual_norms: list[float] = []
 
     def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
         """Record an iterate; return the status if the iteration ends, else None. Collective."""
         problem, residual = self._problem, self.residual
         value = residual.norm_at(point)
-        self.errors.append(value)
+        self.residual_norms.append(value)
         self.residuals.append(residual.relative(value))
         self.q.append(dual_energy(problem, point))
         reached, wanted, done = self.reached(point, error, value)
@@ -206,15 +206,15 @@ class History:
             return ContactStatus.MAX_ITERATIONS
         return None
 
-    def is_idle(self, number: int, progress: float, since: int = 0) -> bool:
+    def is_idle(self, iterations: int, progress: float, since: int = 0) -> bool:
         """Return whether residuals have not decreased in the last iterations. Not collective.
 
-        The last iterations, `number` of them, count as idle if their least residual exceeds
-        `progress` times the least one before them; iterates before number `since` do not count.
+        The last `iterations` count as idle if their least residual exceeds `progress` times the
+        least one before them; iterates before the one with the index `since` do not count.
         """
         residuals = self.residuals[since:]
-        return len(residuals) > number and (
-            min(residuals[-number:]) > progress * min(residuals[:-number])
+        return len(residuals) > iterations and (
+            min(residuals[-iterations:]) > progress * min(residuals[:-iterations])
         )
 
     def solution(self, point: Point, status: ContactStatus, error: float | None) -> DualSolution:

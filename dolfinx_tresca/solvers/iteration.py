@@ -239,12 +239,12 @@ class ModelNewton:
         self.compute_first_products()
         unused_target = target = self.begin_at(start)
         iterate = self.iterate
-        while (status := self.status(target or iterate.point)) is None:
+        while (status := self.check_progress(target or iterate.point)) is None:
             target, unused_target = unused_target or self.target(), None
             iterate.move(target.x - iterate.x, target.c)
             if (rho := self.proposed_rho()) < self.residual.rho:
                 self.residual.set_rho(rho)
-            progress = PROGRESS * self.history.errors[-1]
+            progress = PROGRESS * self.history.residual_norms[-1]
             if not (iterate.learned or self.residual.norm_at(iterate.point) < progress):
                 iterate.increase_accuracy()
         solution = self.history.solution(iterate.point, status, iterate.error)
@@ -308,7 +308,7 @@ class ModelNewton:
         if len(constraints) == 0 or is_at_rest:
             return None
         x, r, softness = iterate.x, iterate.r, 1.0 / rho * constraints.softness
-        shift = balance(constraints, self.problem.bounds(x, r), x - rho * r, softness).shift
+        shift = balance(constraints, self.problem.section_at(x, r), x - rho * r, softness).shift
         iterate.c = np.asarray(shift / rho)
         target = self.target()
         iterate.c = target.c
@@ -319,7 +319,7 @@ class ModelNewton:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
         return self.options.step_factor / (self.iterate.store.largest_ritz_value or 1.0)
 
-    def status(self, target: Point) -> ContactStatus | None:
+    def check_progress(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.
 
         Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
@@ -334,11 +334,12 @@ class ModelNewton:
             iterate.refine(history.tolerable_error(iterate.point) if may_end else np.inf)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
             return status
-        is_same = abs(np.diff(history.errors[-2:])).sum() <= ROUGH * history.errors[-1]
+        norms = history.residual_norms[-2:]
+        is_same = abs(np.diff(norms)).sum() <= ROUGH * norms[-1]
         stalls = (is_same and not iterate.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
-        is_limited = residual.is_limited_by_rounding(history.errors[-1])
+        is_limited = residual.is_limited_by_rounding(norms[-1])
         is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not is_limited
         misses = self.misses >= MISSES
         if (stalls or is_slow or misses) and self.complete_products():
@@ -378,7 +379,7 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
     The slip bounds are those of the point. The result is None if some multipliers with these bounds
     satisfy the constraints.
     """
-    constraints, section = problem.constraints, problem.bounds(point.x, point.r)
+    constraints, section = problem.constraints, problem.section_at(point.x, point.r)
     if len(constraints) == 0:  # no body floats
         return None
     balanced = balance(constraints, section)

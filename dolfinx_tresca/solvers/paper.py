@@ -55,7 +55,7 @@ def mssn(run: Run) -> DualSolution:
     if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only states that the limit, if
     there is one, is the solution. Collective.
     """
-    return run.iterate(run.symmetrized_step, lambda: 1e-12 * run.history.errors[0])
+    return run.iterate(run.symmetrized_step, lambda: 1e-12 * run.history.residual_norms[0])
 
 
 def imssn(run: Run) -> DualSolution:
@@ -125,7 +125,7 @@ class Run:
         residual = NaturalResidual(problem, options.step_factor / largest_eigenvalue(problem))
         self.problem, self.options = problem, options
         self.history = History(problem, options, observe, residual)
-        self.feasible_set = problem.bounds(start, -problem.b)
+        self.feasible_set = problem.section_at(start, -problem.b)
         self.x = self.feasible_set.project(start)
         self.r = gradient(problem, self.x)
         if residual.norm_at(Point(self.x, np.empty(0), self.r)) > residual.scale:
@@ -210,9 +210,9 @@ def adaptive_precision(history: History, options: SolverOptions) -> Callable[[],
 
     def following() -> float:
         nonlocal tolerance
-        relative = history.errors[-1] / history.errors[0]
+        relative = history.residual_norms[-1] / history.residual_norms[0]
         tolerance = min(options.r_tol * relative, options.c_fact * tolerance)
-        return tolerance * history.errors[0]
+        return tolerance * history.residual_norms[0]
 
     return following
 

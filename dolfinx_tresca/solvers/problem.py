@@ -44,8 +44,8 @@ class Compliance(Protocol):
 class DualProblem(InnerProduct, Protocol):
     """The quadratic program (38.4). Vectors are this rank's parts; `inner` sums over all ranks.
 
-    If slip bounds depend on the pressure, each x has its own Lambda (`bounds`); a solution is an x
-    that minimises q over its own Lambda.
+    If slip bounds depend on the pressure, each x has its own Lambda (`section_at`); a solution is
+    an x that minimises q over its own Lambda.
 
     In all methods, and in all functions of this room, x (size,) are multipliers, c (k,) are those
     of the constraints, and r (size,) is the gradient A x - b - G c at x; a `Point` has all three.
@@ -83,7 +83,7 @@ class DualProblem(InnerProduct, Protocol):
     def admissible(self) -> FeasibleSet:
         """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
 
-    def bounds(self, x: Array, r: Array) -> FeasibleSet:
+    def section_at(self, x: Array, r: Array) -> FeasibleSet:
         """Return Lambda with the slip bounds at the pressures and slips of a point."""
 
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:

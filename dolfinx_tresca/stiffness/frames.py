@@ -74,7 +74,7 @@ class BodyFrames:
         function, which are stresses inside the bodies and would turn with them; or if it has nodes
         on surfaces with small sliding, whose normals do not turn.
         """
-        V, number = system.V, bodies.number
+        V, count = system.V, bodies.count
         slides_far = any(pair.sliding == "finite" for pair in pairs)
         if not slides_far or system.is_tangent or system.component is not None:
             return None
@@ -84,7 +84,7 @@ class BodyFrames:
         label = label_bodies(V)
         prescribed = system.prescribed_displacements.reshape(owned, dim)
         whole = prescribed.all(axis=1)
-        alone = np.zeros((number, 3), dtype=np.int64)  # nodes with a prescribed single component
+        alone = np.zeros((count, 3), dtype=np.int64)  # nodes with a prescribed single component
         np.add.at(alone[:, :dim], label[:owned], prescribed & ~whole[:, None])
         for pair in pairs:
             if pair.sliding != "finite" and not isinstance(pair.friction, Bonded):
@@ -98,8 +98,8 @@ class BodyFrames:
             axis[:] = [0.0, 0.0, 1.0]
         if not has_frame.any():
             return None
-        everywhere, zero = np.ones(owned, dtype=np.bool_), np.zeros((number, 3))
-        unmoved = zero, zero, np.broadcast_to(np.eye(3), (number, 3, 3))
+        everywhere, zero = np.ones(owned, dtype=np.bool_), np.zeros((count, 3))
+        unmoved = zero, zero, np.broadcast_to(np.eye(3), (count, 3, 3))
         frames = cls(V, label, has_frame, axis, everywhere, *unmoved)
         centre, moment = frames._moments(frames._points[:owned])
         held_centre, held_moment = replace(frames, guides=whole)._moments(frames._points[:owned])
@@ -234,15 +234,15 @@ class BodyFrames:
 
 
 def _resisted(system: Any, bodies: Bodies) -> Mask:
-    """Return whether K resists a rigid motion of each body (number,). Collective."""
+    """Return whether K resists a rigid motion of each body (count,). Collective."""
     dim, free = system.V.mesh.geometry.dim, ~system.prescribed
     label, modes = np.repeat(bodies.label, dim)[free], bodies.rigid_modes(dim)
     # another factor for each body, so that springs between bodies are seen, too
-    factors = 1.0 + 0.618 * np.arange(bodies.number) % 1.0
+    factors = 1.0 + 0.618 * np.arange(bodies.count) % 1.0
     diagonal = system.K.getDiagonal()
-    largest, force = np.zeros((2, bodies.number))
+    largest, force = np.zeros((2, bodies.count))
     np.maximum.at(largest, label, np.abs(diagonal.array[free]))
-    for mode in np.eye(modes.shape[1] // bodies.number):
+    for mode in np.eye(modes.shape[1] // bodies.count):
         forces = system.product(modes @ np.kron(factors, mode))
         np.maximum.at(force, label, np.abs(forces.array[free]))
     largest, force = reduce_array(system.comm, np.array([largest, force]), MPI.MAX)

@@ -79,7 +79,7 @@ def test_dual_functions_on_a_strip_of_a_facet(width):
     shares = 0.25 * np.outer(weight, weight).ravel()
     hats = np.array([1.0 - along - across, along, across]).reshape(3, -1)
     masses = (hats * shares) @ hats.T
-    dual = dual_coefficients(masses[None], np.ones((1, 3), dtype=bool))[0]
+    dual = dual_coefficients(masses[None], np.eye(3)[None])[0]
     of_dual = (dual @ masses).sum(axis=1)
     assert of_dual == pytest.approx(masses.sum(axis=1), rel=1e-9)
     assert dual @ masses == pytest.approx(np.diag(of_dual), abs=1e-9)

@@ -119,6 +119,6 @@ def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
     precision = adaptive_precision(history, options)
     tol = r_tol / c_fact
     for error in errors:
-        history.errors.append(error * scale)
+        history.residual_norms.append(error * scale)
         tol = min(r_tol * error / errors[0], c_fact * tol)
         assert precision() == pytest.approx(tol * errors[0] * scale, rel=100 * EPS)
