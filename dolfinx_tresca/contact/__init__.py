@@ -1,13 +1,14 @@
 """Contact in one configuration, and the process of load steps around it.
 
-`ContactSystem` pairs the surfaces, factors K, and holds the one mutable reference to the state of
-the process, `ContactSystem.state`. Each of its solves is a dual problem on the surfaces as they are
-paired now. `Obstacles` knows where rigid obstacles are and were. The state itself is a `StepState`,
-which is never changed: a solve, an accepted step or a new pairing sets another one, and with
-nonlinear bodies writes the user's u. So a step that fails is undone by `ContactSystem.return_to`,
-and a restart is the same object in a file (`write_state`, `SavedState`). `FiniteSliding` chooses
-the configurations in which surfaces are paired, until they are paired where the solution is;
-`solve_with_finite_sliding` and, for nonlinear bodies, `problem.newton.Newton` repeat the solves.
+`ContactSystem` pairs the surfaces, has K factored (`floating.HeldStiffness`), and holds the one
+mutable reference to the state of the process, `ContactSystem.state`. Each of its solves is a dual
+problem on the surfaces as they are paired now. `Obstacles` knows where rigid obstacles are and
+were. The state itself is a `StepState`, which is never changed: a solve, an accepted step or a new
+pairing sets another one, and with nonlinear bodies writes the user's u. So a step that fails is
+undone by `ContactSystem.return_to`, and a restart is the same object in a file (`write_state`,
+`SavedState`). `FiniteSliding` chooses the configurations in which surfaces are paired, until they
+are paired where the solution is; `solve_with_finite_sliding` and, for nonlinear bodies,
+`problem.newton.Newton` repeat the solves.
 
 A solve ends with a status in three steps: the iteration judges its residual, the error bound of
 the fields is compared with the accuracy that the user asked for, and `ContactSystem.checked` looks

@@ -15,7 +15,6 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask, real
-from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, log, timed, warn
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unused
@@ -33,17 +32,11 @@ from dolfinx_tresca.errors import (
     PairingError,
     StiffnessError,
 )
-from dolfinx_tresca.floating.rigid_modes import (
-    RigidBodyModes,
-    fixing_springs,
-    weakly_resisted_modes,
-)
+from dolfinx_tresca.floating.held_stiffness import HeldStiffness
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.output.report import ProblemSummary
-from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pair_surfaces import pair_group
-from dolfinx_tresca.pairing.undeformed import groups_of
+from dolfinx_tresca.pairing.pair_surfaces import pair_all_surfaces
 from dolfinx_tresca.result import ContactSolution
 from dolfinx_tresca.scene.friction import Frictionless
 from dolfinx_tresca.scene.obstacle import RigidMotion
@@ -57,7 +50,6 @@ from dolfinx_tresca.solvers.problem import DualSolution
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import SolverRequest, one_thread, warn_of_slow_blas
 from dolfinx_tresca.stiffness.frames import BodyFrames
-from dolfinx_tresca.stiffness.solver import cholesky, multigrid
 from dolfinx_tresca.stiffness.system import LinearSystem
 from dolfinx_tresca.table import Row, Units
 
@@ -71,13 +63,12 @@ class ContactSystem(PetscOwner):
     """A discretised contact problem: K, B on the surfaces as they are paired now, and their solves.
 
     A problem uses one such system for all its solves. For nonlinear bodies K is the present
-    tangent. Springs are added to K that fix the bodies that K holds only weakly, and the sum is
-    factored. Where surfaces are paired again, B and A are replaced, and tractions and slip are
+    tangent. Where surfaces are paired again, B and A are replaced, and tractions and slip are
     carried over.
 
     Attributes:
         secondary: the secondary side of each pair.
-        reason: why this solver for K was chosen, as text.
+        stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
         slides_far: whether at least one pair has finite sliding.
         friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
             nodes of the displacement.
@@ -97,32 +88,23 @@ class ContactSystem(PetscOwner):
         free_unused(linear.comm)  # objects of earlier problems that were not destroyed
         self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
         self._noticed: set[scene_checks.Limit] = set()  # to which solutions have come near
-        self._petsc_options, self._prefix = request.petsc_options or {}, request.prefix
-        if linear.comm.rank == 0:
-            warn_of_slow_blas()
-        check_tags(pairs, linear.V.mesh)
-        cell_tags = (pair.cell_tags for pair in pairs if pair.cell_tags is not None)
-        self.bodies = Bodies.from_space(linear.V, next(cell_tags, None))
-        dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
-        nodes = self.bodies.nodes
-        size = dim * float(nodes @ nodes / nodes.sum())  # of each node's body: large ones decide
-        self.method, self.reason = request.choose(size, dim, linear.comm, saddle=is_saddle)
-        self._modes: RigidBodyModes | None = None
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
         # the slip bound of a pair depends on the pressure, unless its coefficient is zero
         coefficients = [real(pair.friction.terms.coefficient) for pair in pairs]
         self._depends_on_start = any(coefficient != 0.0 for coefficient in coefficients)
         self.unknowns: fem.Function | None = None
-        self.obstacles = Obstacles(linear.V, pairs)
         self.timings: dict[str, float] = {}
         V, prescribed = linear.V, linear.prescribed_displacements
+        if linear.comm.rank == 0:
+            warn_of_slow_blas()
+        check_tags(pairs, V.mesh)
+        cell_tags = (pair.cell_tags for pair in pairs if pair.cell_tags is not None)
+        self.stiffness = HeldStiffness(linear, next(cell_tags, None), request)
+        self.bodies = self.stiffness.bodies
+        self.obstacles = Obstacles(V, pairs)
         with timed("pairing", self.timings):
-            operators_of_number: dict[int, PairOperators] = {}
-            for group in groups_of(V, pairs):
-                paired = pair_group(V, prescribed, group, axisymmetric=linear.axisymmetric)
-                operators_of_number.update(zip(group.numbers, paired, strict=True))
-            operators = [operators_of_number[k] for k in range(len(pairs))]
+            operators = pair_all_surfaces(V, prescribed, pairs, axisymmetric=linear.axisymmetric)
             self.secondary = Surface.of_pairs(fem.Function(V), pairs)
             self.friction = SlipBounds(V)
         self.jump = JumpOperator(linear, operators)
@@ -138,51 +120,13 @@ class ContactSystem(PetscOwner):
                 for pair, pair_operators in zip(pairs, operators, strict=True):
                     self.friction.check(pair.friction, pair_operators.nodes, rounding)
         self.frames_at_rest = BodyFrames.at_rest(linear, self.bodies, pairs)
-        scene_checks.hint_at_scene(linear.V, pairs, self.jump.pairs, self.bodies)
+        scene_checks.hint_at_scene(V, pairs, self.jump.pairs, self.bodies)
 
     def _factored(self) -> ContactCompliance:
-        """Assemble K, find the rigid modes that it resists weakly, and return A. Collective.
-
-        With a mixed space, the modes are found in the first call only: later, pressures make the
-        block of displacements indefinite even for stable bodies, and signs of pivots tell whether
-        they are held.
-        """
-        linear = self.linear
-        with timed("stiffness", self.timings):
-            linear.assemble_stiffness()
-            if self._modes is None or linear.component is None:
-                self._modes = weakly_resisted_modes(linear, self.bodies)
-        springs = fixing_springs(self._modes, linear)
-        with timed(self.method, self.timings):
-            K = springs.added_to(linear.K) if springs else linear.K
-            if self.method == "cholesky":
-                solver = cholesky(K, self._petsc_options, self._prefix, linear.saddle_size)
-            else:
-                prescribed = linear.prescribed
-                solver = multigrid(K, linear.V, prescribed, self._petsc_options, self._prefix)
-            # for a saddle point, this factors another matrix
+        """Assemble and factor K, and return A. Collective."""
+        solver, springs = self.stiffness.factored(self.timings)
+        with timed(self.stiffness.method, self.timings):  # of a saddle point, a further matrix
             return ContactCompliance(self.jump, solver, springs)
-
-    @property
-    def bodies_found(self) -> str:
-        """The number of bodies and of the rigid motions that K resists weakly, as text."""
-        return f"{self.bodies.count}{'' if self._modes is None else self._modes.summary}"
-
-    def check_suits(self, options: SolverOptions) -> None:
-        """Check that options suit the bodies and the form. Not collective."""
-        linear = self.linear
-        if options.balanced and not linear.form_of_displacement:
-            reason = "a is none" if linear.form is None else "a is on a mixed space"
-            raise InputError(
-                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
-                f"is estimated with a form of UFL of the displacement, and {reason}. Give "
-                "solve(accuracy=1e-3), or a rtol."
-            )
-        if options.method != "projected_newton" and self._modes:
-            raise InputError(
-                f"method={options.method!r} needs bodies that are held by supports, but found "
-                f"{self.bodies_found}. Take method='projected_newton'."
-            )
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
@@ -411,10 +355,10 @@ class ContactSystem(PetscOwner):
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table that `print(problem)` shows. Not collective."""
         return [
-            ("bodies", self.bodies_found),
+            ("bodies", str(self.stiffness)),
             *self.summary.rows(units),
             ("solver for K", str(self.compliance.solver)),
-            ("chosen", self.reason),
+            ("chosen", self.stiffness.reason),
         ]
 
     def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
@@ -505,7 +449,7 @@ class ContactSystem(PetscOwner):
         """
         free_unused(self.comm)  # vectors of the solves before
         requested = requested or options
-        self.check_suits(options)
+        self.stiffness.check_suits(options)
         self.compliance.solver.check_ready()
         timings, self.timings = self.timings, {}
         self.state = replace(self.state, solution=None, pending=False)

@@ -6,6 +6,7 @@ of the multipliers with multipliers c of its own, the rigid displacements.
 
 - `RigidBodyModes`: the modes of `Bodies` that supports and K resist weakly or not at all.
 - `FixingSprings`: springs that are in the factored K_p alone, and the response to them.
+- `HeldStiffness`: K with these springs, assembled and factored anew when K has changed.
 - `FloatingBodies`, `Equilibrium`: the equations G'lambda + S c = e, and the motions they leave.
 - `Tools`, `FreeMotion`: obstacles held by forces, and bolts, which join these equations.
 

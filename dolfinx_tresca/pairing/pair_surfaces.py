@@ -26,7 +26,7 @@ from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceN
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owners_flags, owns, with_neighbours
-from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
+from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed, groups_of
 from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
 from dolfinx_tresca.scene.pair import ContactPair, SideName
@@ -37,6 +37,17 @@ def pair_surfaces(
 ) -> PairOperators:
     """Compute N, T and the gap of a single pair; see `pair_group`. Collective."""
     return pair_group(V, prescribed, PairGroup.from_pairs([pair]), axisymmetric=axisymmetric)[0]
+
+
+def pair_all_surfaces(
+    V: Any, prescribed: Mask, pairs: Sequence[ContactPair], *, axisymmetric: bool
+) -> list[PairOperators]:
+    """Compute N, T and the gap of each pair, group by group; see `pair_group`. Collective."""
+    result: dict[int, PairOperators] = {}
+    for group in groups_of(V, pairs):
+        operators = pair_group(V, prescribed, group, axisymmetric=axisymmetric)
+        result.update(zip(group.numbers, operators, strict=True))
+    return [result[number] for number in range(len(pairs))]
 
 
 def pair_group(

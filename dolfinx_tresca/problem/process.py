@@ -124,7 +124,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return [*self._contact.rows(self.units), ("method", method)]
 
     def __repr__(self) -> str:
-        summary, method = self._contact.summary, self._contact.method
+        summary, method = self._contact.summary, self._contact.stiffness.method
         return (
             f"<{type(self).__name__}: {summary.dofs} displacements, {summary.contact_nodes} "
             f"contact nodes in {len(self.pairs)} pair(s), {method}>"

@@ -1,0 +1,77 @@
+"""The stiffness matrix K of bodies that springs hold where K does not, and the solver for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dolfinx_tresca._base.bodies import Bodies
+from dolfinx_tresca._base.parallel import timed
+from dolfinx_tresca.errors import InputError
+from dolfinx_tresca.floating.rigid_modes import (
+    FixingSprings,
+    RigidBodyModes,
+    fixing_springs,
+    weakly_resisted_modes,
+)
+from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.stiffness.choice import SolverRequest
+from dolfinx_tresca.stiffness.solver import StiffnessSolver, cholesky, multigrid
+from dolfinx_tresca.stiffness.system import LinearSystem
+
+
+class HeldStiffness:
+    """K with springs that fix the bodies that K holds only weakly, assembled and factored anew.
+
+    Attributes:
+        method: the solver for K, "cholesky" or "multigrid".
+        reason: why this solver was chosen, as text.
+    """
+
+    def __init__(self, linear: LinearSystem, cell_tags: Any, request: SolverRequest) -> None:
+        """Find the bodies, which tags of cells may name, and choose the solver. Collective."""
+        self._linear, self._request = linear, request
+        self.bodies = Bodies.from_space(linear.V, cell_tags)
+        dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
+        nodes = self.bodies.nodes
+        size = dim * float(nodes @ nodes / nodes.sum())  # of each node's body: large ones decide
+        self.method, self.reason = request.choose(size, dim, linear.comm, saddle=is_saddle)
+        self._modes: RigidBodyModes | None = None
+
+    def factored(self, timings: dict[str, float]) -> tuple[StiffnessSolver, FixingSprings | None]:
+        """Assemble K, find the rigid modes that it resists weakly, and factor it. Collective.
+
+        The caller owns the solver. With a mixed space, the modes are found in the first call only:
+        later, pressures make the block of displacements indefinite even for stable bodies, and
+        signs of pivots tell whether they are held.
+        """
+        linear, request = self._linear, self._request
+        with timed("stiffness", timings):
+            linear.assemble_stiffness()
+            if self._modes is None or linear.component is None:
+                self._modes = weakly_resisted_modes(linear, self.bodies)
+        springs = fixing_springs(self._modes, linear)
+        with timed(self.method, timings):
+            K = springs.added_to(linear.K) if springs else linear.K
+            given = request.petsc_options or {}, request.prefix
+            if self.method == "cholesky":
+                return cholesky(K, *given, linear.saddle_size), springs
+            return multigrid(K, linear.V, linear.prescribed, *given), springs
+
+    def __str__(self) -> str:
+        return f"{self.bodies.count}{'' if self._modes is None else self._modes.summary}"
+
+    def check_suits(self, options: SolverOptions) -> None:
+        """Check that options suit the bodies and the form. Not collective."""
+        linear = self._linear
+        if options.balanced and not linear.form_of_displacement:
+            reason = "a is none" if linear.form is None else "a is on a mixed space"
+            raise InputError(
+                'accuracy="balanced", the default, takes the error of the mesh as a measure, which '
+                f"is estimated with a form of UFL of the displacement, and {reason}. Give "
+                "solve(accuracy=1e-3), or a rtol."
+            )
+        if options.method != "projected_newton" and self._modes:
+            raise InputError(
+                f"method={options.method!r} needs bodies that are held by supports, but found "
+                f"{self}. Take method='projected_newton'."
+            )
