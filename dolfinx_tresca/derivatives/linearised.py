@@ -37,9 +37,9 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import log, reduce_array
+from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, MOST_STEPS, ROUGH
-from dolfinx_tresca.dual.program import DualProgram, at_edge
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import ConvergenceError, InputError
 from dolfinx_tresca.solvers.constraints import norm
@@ -109,19 +109,6 @@ class LinearisedContact:
             )
         follow = cones.nodal_matrix(np.ones_like(x), (face.radial, cones.at_normals(slope)))
         return face, section.circle_stiffness(r, face), follow
-
-    def log_edge(self) -> None:
-        """Log how many nodes are about to change their state, if there are any. Collective."""
-        comm = self.dual.jump.comm
-        rows, stick = reduce_array(comm, at_edge(self.dual, self.multipliers, self.gradient))
-        if rows or stick:
-            log(
-                comm,
-                "derivative: %d node(s) are about to open or close, and %d to slip or stick: it is "
-                "one-sided",
-                int(rows),
-                int(stick),
-            )
 
     def tangent(self, force: Array, offset: Array, radius: Array) -> tuple[fem.Function, Array]:
         """Return the tangent (du, dx): the change of the solution by given changes of the data.

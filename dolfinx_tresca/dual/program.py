@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.dual.accuracy import total
@@ -387,38 +387,3 @@ class DualProgram:
         energy = 0.5 * elastic - work
         dual = energy - float(self.inner(x, r)) - 0.5 * error**2
         return energy + float(friction), dual
-
-
-#: A node counts as about to change its contact state if a change of its traction by at most the
-#: error of the tractions leads to another state. This number times the largest traction is the
-#: least error that is assumed.
-EDGE = 1e-9
-
-
-def at_edge(dual: DualProgram, x: Array, r: Array) -> tuple[int, int]:
-    """Return how many rows and discs of this rank are about to change their state. Collective.
-
-    Within the accuracy of the solution, these rows and discs may have either state, so that
-    derivatives of goals are one-sided.
-    """
-    section, scale = dual.section_at(x, r), dual.jump.stress_scale
-    change, traction = dual.local_change(x, r)
-    limit = max(change, EDGE * traction)
-    target = dual.local_minimiser(x, r)
-    rows = int((np.abs(target * scale)[section.normal] <= limit).sum())
-    return rows, int(discs_at_edge(section, target, scale, limit).sum())
-
-
-def discs_at_edge(section: FeasibleSet, target: Array, stress_scale: Array, error: float) -> Mask:
-    """Return whether the minimiser of each disc lies on its circle, within the error.
-
-    The result is an array (n_discs,), False for discs without friction.
-
-    The radii of Lambda are the slip bounds, the target is the `local_minimiser`, and the error
-    is that of a traction [stress].
-    """
-    scale = np.ones(len(section.radius))
-    scale[section.node] = stress_scale[section.tangential]
-    has_friction = np.isfinite(section.radius) & (section.radius > 0.0)
-    distance = np.abs(section.norms(target) - np.where(has_friction, section.radius, 0.0)) * scale
-    return np.asarray(has_friction & (distance < error))

@@ -20,6 +20,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Mask, integer
+from dolfinx_tresca._base.parallel import log
 from dolfinx_tresca._base.petsc import PetscOwner
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.saved_state import SavedState, write_state
@@ -447,7 +448,9 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.check_inputs("a derivative")
         u, bounds = solved.fields.u, self._contact.slip_bounds()
         solution = LinearisedContact(solved.dual, solved.multipliers, u, bounds)
-        solution.log_edge()
+        if count := solved.fields.counts.undecided:
+            text = "derivative: %d node(s) are about to change their state: it is one-sided"
+            log(self.comm, text, count)
         data = DataOfSolution(self._contact, self._residual_at(u), u)
         data.linearise(solution)
         data.check_controls(controls)

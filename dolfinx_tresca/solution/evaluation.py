@@ -19,7 +19,7 @@ from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
-from dolfinx_tresca.dual.program import DualProgram, discs_at_edge
+from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields
 from dolfinx_tresca.solution.forces import (
@@ -32,6 +32,10 @@ from dolfinx_tresca.solvers.convergence import BALANCED, energy_norm, relative_e
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
+
+#: Least change of a node's traction, relative to the largest one, up to which its state is
+#: undecided. Accurate solutions have smaller errors, and rounding decides then.
+EDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,9 @@ class NodeCounts:
         contact_stick: nodes that are pressed and stick.
         idle: open nodes whose slip bound is zero, as without pressure in Coulomb's law.
         bonded: nodes of bonded pairs, which are counted in no other state.
-        undecided: nodes whose state is uncertain: a change of tractions by `local_error` may put
-            them in another state. The other counts are exact up to these nodes.
+        undecided: nodes whose state is uncertain: a change of tractions by `local_error`, or by
+            1e-9 of the largest one, may put them in another state. The other counts are exact up to
+            these nodes, and derivatives are one-sided there.
     """
 
     nodes: int
@@ -152,8 +157,9 @@ def evaluate(
     dissipation = float(dual.inner(solution.multipliers, slip))
     increment, moved_by = (values * B.length_scale for values in (increment, slip))
 
-    change, _ = dual.local_change(solution.multipliers, r)
-    states, steps, before, counts = node_values(dual, normal, moved, target, moved_by, change)
+    change, largest = dual.local_change(solution.multipliers, r)
+    limit = max(change, EDGE * largest)
+    states, steps, before, counts = node_values(dual, normal, moved, target, moved_by, limit)
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
     at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
@@ -263,7 +269,7 @@ def node_values(
     moved: FeasibleSet,
     target: Array,
     moved_by: Array,
-    change: float,
+    limit: float,
 ) -> tuple[Array, Array, Array, NodeCounts]:
     """Return states and slips of the nodes of all pairs, and their counts. Collective.
 
@@ -273,7 +279,7 @@ def node_values(
         moved: feasible set at each node's local minimiser, see `DualProgram.local_minimiser`.
         target: (size,) the minimisers.
         moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
-        change: largest change of a node's tractions that the iteration leaves [stress].
+        limit: change of its traction up to which a node's state is undecided [stress].
 
     Returns:
         the states (n,); slip vectors and increments of the slip paths (n, d + 1) of this step
@@ -289,8 +295,12 @@ def node_values(
     pressed = np.zeros(len(bonded), dtype=np.bool_)
     # strict inequality: a node without gap and without load is not pressed
     pressed[node] = bonded[node] | (target[normal] > 0.0)
-    undecided = discs_at_edge(moved, target, B.stress_scale, change)[nodes]
-    undecided[node] |= np.abs(target * B.stress_scale)[normal] < change
+    scale = np.ones(len(moved.radius))
+    scale[moved.node] = B.stress_scale[moved.tangential]
+    has_circle = np.isfinite(moved.radius) & (moved.radius > 0.0)
+    away = np.abs(moved.norms(target) - np.where(has_circle, moved.radius, 0.0)) * scale
+    undecided = (has_circle & (away <= limit))[nodes]
+    undecided[node] |= np.abs(target * B.stress_scale)[normal] <= limit
 
     conditions = {
         ContactState.BONDED: bonded,

@@ -200,7 +200,7 @@ def test_nodes_at_the_edge_of_contact(comm, caplog):
         with caplog.at_level(logging.INFO):
             derivative = problem.gradient(NormalForce(), [push])[0][1]
         assert min(abs(derivative), abs(derivative - down)) <= ACCURACY * abs(down)
-        assert "derivative: 4 node(s) are about to open or close, and 0 to slip" in logged(caplog)
+        assert "derivative: 4 node(s) are about to change their state" in logged(caplog)
 
 
 def test_a_node_at_the_edge_of_stick(comm):
