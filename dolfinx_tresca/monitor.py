@@ -120,8 +120,7 @@ class ProgressBar:
                 done = iteration.ended
                 text = f"configuration {configuration}, iteration {iteration.number}"
         bar = f"{'#' * round(12 * self._progress):<12}"
-        seconds = time.perf_counter() - self._start
-        text += f", residual {residual:7.1e}, {seconds:.0f} s"
+        text += f", residual {residual:7.1e}, {time.perf_counter() - self._start:.0f} s"
         line = f"contact {self._progress:4.0%} |{bar}| {text}"
         sys.stderr.write("\r" + line[: shutil.get_terminal_size().columns - 1])
         sys.stderr.flush()

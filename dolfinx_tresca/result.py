@@ -387,8 +387,7 @@ class ContactSolution(Evaluation, Tabulated):
                 raise InputError(f"steps must be a list of ContactSolution, found {shown(steps)}.")
         forces = [np.linalg.norm(resultant.force) for resultant in self.pair_resultants]
         drawn = np.sort(np.argsort(forces)[-LISTED_ROWS:])  # more views would take minutes
-        surfaces = [self.surfaces[pair] for pair in drawn]
-        picture = plot.plot(None, self.u, surfaces, units=self.units)
+        picture = plot.plot(None, self.u, [self.surfaces[pair] for pair in drawn], units=self.units)
         with errors_on_all_ranks(self.comm):
             if self.comm.rank == 0:
                 with atomic_write(Path(path)) as new:

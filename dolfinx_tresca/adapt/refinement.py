@@ -91,8 +91,7 @@ def refine(
     largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
-    marked = largest_part(comm, np.square(errors / largest), fraction)
-    bisection = bisected(mesh, marked)
+    bisection = bisected(mesh, largest_part(comm, np.square(errors / largest), fraction))
     facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
@@ -210,8 +209,7 @@ def snapped(
         with errors_on_all_ranks(comm):
             target = project_points(surface[nodes], f"geometry[{tag}]", exact.project, dim)
         # another rank may know of a node, but of none of its facets
-        values = np.column_stack([target, np.ones(len(nodes))])
-        sums = summed_at_nodes(index_map, nodes, values)
+        sums = summed_at_nodes(index_map, nodes, np.column_stack([target, np.ones(len(nodes))]))
         surface = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), surface)
 
     def volumes(points: Array) -> Array:

@@ -173,8 +173,7 @@ def judged(
         if wanted < goal_error.iteration_error < math.inf:  # infinite if rows of B are dependent
             # errors of the iteration are of first order in a goal, but of second in the energy
             ratio = wanted / goal_error.iteration_error
-            accuracy = max(ratio * solution.energy_error_bound, 1e-10)
-            solution = problem.solve(accuracy=accuracy)
+            solution = problem.solve(accuracy=max(ratio * solution.energy_error_bound, 1e-10))
             goal_error = problem.goal_error(goal)
             products += solution.products + goal_error.products
     if goal_error is None or goal_error.adjoint.x.petsc_vec.norm() == 0.0:
@@ -250,8 +249,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
         np.divide(density.x.array, areas.x.array, out=density.x.array, where=areas.x.array > 0.0)
         opposite = assembled(operator.transfer(density) * cell * ds(pair.secondary), cells)
         # `opposite` is negative where the projection of `transfer` overshoots
-        squares = np.maximum(np.square(result.x.array), opposite.x.array)
-        result.x.array[:] = np.sqrt(squares)
+        result.x.array[:] = np.sqrt(np.maximum(np.square(result.x.array), opposite.x.array))
     return result
 
 

@@ -238,8 +238,7 @@ class ContactSystem(PetscOwner):
                 (state.configuration, configuration, finite),
             ):
                 differs = not (u is before or np.array_equal(u.x.array, before.x.array))
-                on_some_rank = self.comm.allreduce(differs, op=MPI.LOR)
-                self._pair_anew(u, pairs & (moved | on_some_rank))
+                self._pair_anew(u, pairs & (moved | self.comm.allreduce(differs, op=MPI.LOR)))
         except PairingError:
             self.return_to(state)
             raise

@@ -253,8 +253,7 @@ def _laws(jump: JumpOperator) -> list[str]:
 def _contact_places(pair: PairOperators, places: Array) -> Array:
     """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch."""
     _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
-    patch = np.arange(len(pair.nodes)) - start[row]
-    return np.column_stack([places[pair.nodes], patch])
+    return np.column_stack([places[pair.nodes], np.arange(len(pair.nodes)) - start[row]])
 
 
 def surroundings(V: Any) -> Array:

@@ -158,8 +158,7 @@ class StepState:
 
     def with_status(self, status: ContactStatus) -> StepState:
         """Return the state in which the last solve, if any, ended with a status. Not collective."""
-        solution = self.solution and replace(self.solution, status=status)
-        return replace(self, solution=solution)
+        return replace(self, solution=self.solution and replace(self.solution, status=status))
 
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which a solve begins now. Collective.
@@ -178,8 +177,7 @@ class StepState:
     def with_tangents_of(self, jump: JumpOperator) -> StepState:
         """Return the state on a B that differs in its tangents alone. Not collective."""
         carry = Carry(self.jump, jump)
-        origin = carry.jumps(self.history.origin)
-        return self._on(jump, carry, replace(self.history, origin=origin))
+        return self._on(jump, carry, replace(self.history, origin=carry.jumps(self.history.origin)))
 
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
         """Return the state on the B of surfaces displaced by u [length]. Collective.

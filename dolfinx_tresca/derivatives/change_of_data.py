@@ -100,8 +100,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
                 fields.append((scalar, f"{words} of {pair}", by_bound))
         shape = len(x) + len(by_constant), len(node)
         for scalar, name, effect in fields:
-            matrix = csr_array(effect, shape=shape)
-            result.append(NodalField(scalar, name, operators.nodes, matrix))
+            result.append(NodalField(scalar, name, operators.nodes, csr_array(effect, shape=shape)))
     return result
 
 
@@ -290,8 +289,7 @@ class DataOfSolution:
         def of_moved(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
             """Return the offsets and the radii with the rows of another B."""
             radius = side.bounded(contact.bounds).section(x).radius
-            slip_origin = Carry(jump, side).jumps(origin)
-            offset = side.gap - jump_of_u + slip_origin
+            offset = side.gap - jump_of_u + Carry(jump, side).jumps(origin)
             return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
 
         for control, direction in zip(controls, directions, strict=True):
@@ -374,8 +372,7 @@ class DataOfSolution:
                 mesh = self.u.function_space.mesh
                 along = fem.Constant(mesh, np.zeros(control.ufl_shape))
                 factor = ufl.variable(fem.Constant(mesh, 0.0))
-                moved = ufl.replace(form, {control: control + factor * along})
-                change = ufl.diff(moved, factor)
+                change = ufl.diff(ufl.replace(form, {control: control + factor * along}), factor)
             compiled = fem.form(change, entity_maps=self.system.linear.entity_maps)
             self._compiled[key] = form, compiled, along  # keeping `form` keeps its id valid
         _, compiled, along = self._compiled[key]

@@ -128,8 +128,7 @@ class ProcessTape:
         # without the sum of slips at all nodes, which takes as much memory as u
         dual = copy(step.dual)
         dual.history = replace(dual.history, slipped=())
-        bounds = contact.slip_bounds()
-        solution = LinearisedContact(dual, step.multipliers, step.fields.u, bounds)
+        solution = LinearisedContact(dual, step.multipliers, step.fields.u, contact.slip_bounds())
         yield
         self._history = contact.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
@@ -170,8 +169,7 @@ class ProcessTape:
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
-        by_step = self._derivatives(goals, controls)
-        columns = zip([0.0] * len(controls), *by_step, strict=True)
+        columns = zip([0.0] * len(controls), *self._derivatives(goals, controls), strict=True)
         return as_derivatives([sum(column) for column in columns], controls, self.comm)
 
     @collective(comm_of_self)

@@ -122,8 +122,7 @@ class SaddleLift(Lift):
         nothing = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), nnz=1, comm=K.comm)
         nothing.setDiagonal(zero)
         nothing.assemble()
-        nest = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm)
-        whole = nest.copy()
+        whole = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm).copy()
         whole.convert(PETSc.Mat.Type.AIJ)
         self._prepare(K, B)
         self._right, self._solution = whole.createVecs()
@@ -381,8 +380,7 @@ class DiscretisationError:
         """Return the values (cells,) of a form on this rank's cells. Collective."""
         topology = self._cells.mesh.topology
         count = topology.index_map(topology.dim).size_local
-        values: Array = fem.assemble_vector(form).array[:count]
-        return values
+        return np.asarray(fem.assemble_vector(form).array[:count])
 
 
 def total(cells: fem.Function) -> float:

@@ -244,8 +244,7 @@ class JumpOperator(PetscOwner):
     def _components(self) -> PETSc.Mat:
         """The rows of all components of the jumps at all nodes. Collective."""
         dofmap = self.system.V.dofmap
-        axes = np.eye(dofmap.index_map_bs)
-        rows = [kron(pair.jump, axes, format="csr") for pair in self.pairs]
+        rows = [kron(pair.jump, np.eye(dofmap.index_map_bs), format="csr") for pair in self.pairs]
         return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
 
     def whole_force(self, x: Array) -> PETSc.Vec:
@@ -302,5 +301,4 @@ def local_stiffness(jump: JumpOperator) -> Array:
     squares.assemble()
     compliance, total = nodal_compliance(jump.system), squares.createVecLeft()
     squares.mult(compliance, total)
-    result: Array = 1.0 / np.maximum(total.array, LEAST_DIVISOR)
-    return result
+    return np.asarray(1.0 / np.maximum(total.array, LEAST_DIVISOR))

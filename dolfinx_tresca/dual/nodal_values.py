@@ -54,8 +54,7 @@ def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
 
 def values_of(control: fem.Constant | fem.Function) -> Array:
     """Return the values of a control, as a flat array that shares their memory."""
-    values = control.value if hasattr(control, "value") else control.x.array
-    return np.asarray(values).reshape(-1)
+    return np.asarray(control.value if hasattr(control, "value") else control.x.array).reshape(-1)
 
 
 @contextmanager
@@ -141,8 +140,8 @@ class NodalValues:
             nodal = fem.Function(self._V)
             # keeps values that are infinite, which basis functions would spread as NaN
             (nodal if components > 1 else nodal.sub(0)).interpolate(field)
-            at_nodes: Array = nodal.x.array.reshape(-1, self._V.dofmap.index_map_bs)
-            return at_nodes[nodes, :components]
+            values = nodal.x.array.reshape(-1, self._V.dofmap.index_map_bs)
+            return np.asarray(values[nodes, :components])
         if isinstance(field, Expr):
             return self._of_expression(field, nodes, name)
         if callable(field):
@@ -225,8 +224,7 @@ class NodalValues:
                 + (f"{array}." if array.shape == () else f"shape {array.shape} of {array.dtype}.")
             )
         columns = array[:, None] if components > 1 and array.shape == constant else array
-        values: Array = np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
-        return values
+        return np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
 
     def _check_mesh(self, expression: Expr, name: str) -> None:
         """Check that a Function or an expression is on the mesh of the space. Not collective."""
@@ -254,14 +252,12 @@ class NodalValues:
         sampled = self._compiled[expression].eval(self._V.mesh, cells)
         count = self._V.dofmap.list.shape[1]
         at_points = sampled.reshape(len(cells), count, prod(sampled.shape[1:]) // count)
-        values: Array = at_points[np.arange(len(cells)), points]
-        return values
+        return np.asarray(at_points[np.arange(len(cells)), points])
 
     @cached_property
     def _points(self) -> Array:
         """The positions (n, 3) of the nodes."""
-        points: Array = self._V.tabulate_dof_coordinates()
-        return points
+        return np.asarray(self._V.tabulate_dof_coordinates())
 
     @cached_property
     def _places(self) -> LocalNumbers:

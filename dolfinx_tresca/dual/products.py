@@ -222,8 +222,7 @@ class NearField(PetscOwner):
         self._u = jump.work
         self._coarse = coarse_level(solver.preconditioner)
         if self._coarse is not None:
-            coarser = (P.createVecRight() for P in self._coarse[0])
-            self._residuals = [K.createVecLeft(), *coarser]
+            self._residuals = [K.createVecLeft(), *(P.createVecRight() for P in self._coarse[0])]
             self._corrections = [residual.duplicate() for residual in self._residuals]
             # the rows of K that couple the local degrees of freedom with all degrees of freedom
             self._rows = K.createSubMatrix(rows, None)
@@ -407,8 +406,7 @@ class ContactCompliance(PetscOwner):
     def _whole(self, rows: Matrix) -> WholeModel:
         """Return the model of A from this rank's rows (size, n), dense or sparse. Collective."""
         jump, start = self.jump, self.jump.matrix.getOwnershipRange()[0]
-        local = np.reciprocal(self.nodal_stiffness)
-        return WholeModel(jump.reductions, rows, start, local, _solve)
+        return WholeModel(jump.reductions, rows, start, np.reciprocal(self.nodal_stiffness), _solve)
 
     def forget(self) -> None:
         """Drop all products. Not collective."""

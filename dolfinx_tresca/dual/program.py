@@ -136,8 +136,7 @@ class DualProgram:
     @property
     def b_terms(self) -> Array:
         """The sums (size,) of the absolute values of the terms of b, which may cancel."""
-        terms: Array = np.abs(self.b + self.offset) + np.abs(self.offset)
-        return terms
+        return np.asarray(np.abs(self.b + self.offset) + np.abs(self.offset))
 
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K, once. Collective."""

@@ -134,8 +134,7 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
     reciprocals[(nonzero & (shape == 0.0)).any(axis=1)] = np.inf
     # at circles, which have no axes, `direction` may be zero
     reciprocals[shape[:, 0] == shape[:, 1]] = 1.0
-    result: Array = 1.0 / reciprocals
-    return result
+    return np.asarray(1.0 / reciprocals)
 
 
 def friction_discs(node: Indices, semi_axes: Array, count: int) -> tuple[Array, Array, Mask]:
@@ -307,5 +306,4 @@ class SlipBounds:
                 )
             if name.startswith(TERMS["coefficient"]) and np.isinf(values).any():
                 raise InputError(f"{name} must be finite, found infinity.")
-        result: Array = np.maximum(values, 0.0)
-        return result
+        return np.asarray(np.maximum(values, 0.0))

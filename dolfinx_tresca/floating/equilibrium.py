@@ -226,8 +226,7 @@ class FloatingBodies:
         U, dim = self.displacements, self.modes.dim
         nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
         lengths = (nodes @ U.power(2)).sqrt()
-        loads = np.sqrt(nodes @ np.square(f))
-        sizes: Array = reduce_array(self.modes.comm, lengths.T @ loads)
+        sizes: Array = reduce_array(self.modes.comm, lengths.T @ np.sqrt(nodes @ np.square(f)))
         result: Array = reduce_array(self.modes.comm, U.T @ f)
         result[np.abs(result) <= ROUNDING * sizes] = 0.0
         return result, sizes
@@ -369,8 +368,7 @@ def _moving(motions: Array, body: Indices) -> Indices:
     """Return the bodies that move in motions with components (m, count); body (m,) of modes."""
     lengths = np.linalg.norm(motions, axis=1)
     # twice or half the number changes no message of the tests
-    moving: Indices = np.unique(body[lengths > 1e-3 * lengths.max(initial=0.0)])
-    return moving
+    return np.asarray(np.unique(body[lengths > 1e-3 * lengths.max(initial=0.0)]))
 
 
 def _largest_of_group(sizes: Array, group: Indices) -> Array:

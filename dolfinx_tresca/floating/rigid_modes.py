@@ -280,8 +280,7 @@ class FixingSprings:
         # difference of large terms; Z'R is the square root of `RigidBodyModes.stiffness`
         springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
         resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
-        stiffness = csr_array(0.5 * (resisted + resisted.T))
-        return csr_array(modes.basis - V), stiffness
+        return csr_array(modes.basis - V), csr_array(0.5 * (resisted + resisted.T))
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:

@@ -256,8 +256,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
         height -= HEADER + FOOTER
         plotter.enable_parallel_projection()
         plotter.view_vector(normal, viewup=up)
-        half_height = max(upward / 0.96, across / 0.92 * height / width)
-        plotter.camera.parallel_scale = half_height or 1.0
+        plotter.camera.parallel_scale = max(upward / 0.96, across / 0.92 * height / width) or 1.0
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
@@ -464,8 +463,7 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
             plotter.add_mesh(discs, color="black", lighting=False)
             legend.append(handle("sticks", "black", "o"))
     if pressed.any():
-        name = f"contact pressure {contact.label}".rstrip()
-        draw_bar(panel, name, stress, "YlOrRd", limits)
+        draw_bar(panel, f"contact pressure {contact.label}".rstrip(), stress, "YlOrRd", limits)
     write_header(panel, f"Contact surface{contact.title}", legend)
 
 

@@ -202,8 +202,7 @@ class SmoothSurface:
 
     def heights(self, facet: Indices, hats: Array) -> Array:
         """Return fitted heights (n,) [length] over facets (n,), with hat functions (n, corners)."""
-        products = hats[:, self._first] * hats[:, self._second]
-        return dots(products, self._height_factors[facet])
+        return dots(hats[:, self._first] * hats[:, self._second], self._height_factors[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors (n, 3) from points x (n, dim) of facets to the surface, and its normals.

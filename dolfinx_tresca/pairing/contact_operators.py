@@ -321,8 +321,7 @@ class ContactOperators:
         interpolation = csr_array((*entries, ends), shape=(owned, nodes.size_global))
         interpolation.eliminate_zeros()
         in_V = as_petsc(V.dofmap.index_map, 1, [rows], self.comm)
-        to_Q = as_petsc(nodes, 1, [interpolation], self.comm)
-        return in_V.matMult(to_Q)
+        return in_V.matMult(as_petsc(nodes, 1, [interpolation], self.comm))
 
     def _multiplied(self, Q: Any, values: Array, *, transposed: bool = False) -> Array:
         """Return P f (n, k) for f (owned nodes of Q, k), or P'f for f (n, k). Collective."""

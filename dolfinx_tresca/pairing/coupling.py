@@ -394,8 +394,7 @@ def _normals_and_room(
     if together.any():
         lighter, heavier = means[:-1][together], means[1:][together]
         squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
-        apart = (lighter - heavier).power(2).sum(axis=1)
-        together[together] = apart <= SAME_MEANS**2 * squares
+        together[together] = (lighter - heavier).power(2).sum(axis=1) <= SAME_MEANS**2 * squares
     # runs of patches that face the same place; most nodes have a single patch
     starts, ends = np.flatnonzero(np.diff(together, prepend=False, append=False)).reshape(-1, 2).T
     for start, end in zip(starts, ends, strict=True):

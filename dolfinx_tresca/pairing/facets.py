@@ -266,9 +266,8 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
     Each point (n, dim) has a facet, whose nodes (n, k, dim) are projected into the plane [length].
     Only the cell and degree of `facets` are used.
     """
-    dim = facets.dim
     # the affine map is exact for straight segments, triangles and parallelograms
-    sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(dim)], axis=2)
+    sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(facets.dim)], axis=2)
     x = _solve(sides, target - nodes[:, 0])
     if facets.affine:
         return x

@@ -145,8 +145,7 @@ class MortarIntegrals(FacetIntegrals):
         self.least = np.full(n, np.inf)
         self._covered = np.zeros(count)
         none: Indices = np.zeros((0, 2), dtype=np.intp)
-        empty: Array = np.zeros((0, corners, partners.nodes.shape[1]))
-        self._overlaps = [(none, empty, none)]
+        self._overlaps = [(none, np.zeros((0, corners, partners.nodes.shape[1])), none)]
         mine = np.flatnonzero(np.isin(self._pieces.facet, selected))
         reach: Array = np.full(count, limit)
         if order is not None:
@@ -370,8 +369,7 @@ def _warn_of_unseen(
     From the depth by which it enters, the part of it that nodes, or means between nodes, see, and
     the angle by which its normal turns [rad]; `extent` is the largest coordinate [length].
     """
-    entered = turns * (depth > 0.0)
-    greatest = [array.max(initial=0.0) for array in (depth, depth - seen, entered)]
+    greatest = [array.max(initial=0.0) for array in (depth, depth - seen, turns * (depth > 0.0))]
     deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
     rounding = ROUNDING * extent
     is_coarse = angle > COARSE_ANGLE and deepest > rounding

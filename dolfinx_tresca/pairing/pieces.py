@@ -136,8 +136,7 @@ class Pieces:
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
             reach = radii + self.radii[members].max()
-            box = np.stack([tree.mins, tree.maxes])
-            start, end = line_intervals(box, centres, normals, reach)
+            start, end = line_intervals(np.stack([tree.mins, tree.maxes]), centres, normals, reach)
             start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
             # A ball of radius sqrt(2) r around a point of the line contains the part from -r to r
             # of the cylinder of radius r around the line. If the centre nearest to the point has
@@ -232,8 +231,9 @@ def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
     """Return all facets with a corner that this rank owns, given its own facets. Collective."""
     ends = V.mesh.comm.allgather(V.dofmap.index_map.local_range[1])
     ranks = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
-    facet = np.repeat(np.arange(len(ranks)), owned.corners)
-    result = _sent(V.mesh.comm, owned, facet, ranks.ravel())
+    result = _sent(
+        V.mesh.comm, owned, np.repeat(np.arange(len(ranks)), owned.corners), ranks.ravel()
+    )
     return result.selected(at_own_nodes(V, result))
 
 
@@ -272,8 +272,7 @@ def near_lines(
         line, piece = pieces.on_normals(
             lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
         )
-        facet = pieces.facet[piece]
-        pairs.append(np.unique(np.column_stack([facet, source[block][line]]), axis=0))
+        pairs.append(np.unique(np.column_stack([pieces.facet[piece], source[block][line]]), axis=0))
     return _sent(comm, owned, *np.concatenate(pairs).T)
 
 

@@ -157,8 +157,7 @@ class Visibility:
         cosine = dots(normal, their_normal)
         result: Mask = cosine > NEGLIGIBLE
         if own:
-            offset = side.centres[facet] - pieces.centres[piece]
-            height = np.abs(dots(offset, normal))
+            height = np.abs(dots(side.centres[facet] - pieces.centres[piece], normal))
             height += side.radii[facet] * np.linalg.norm(normal - their_normal, axis=1)
             result &= height > NEGLIGIBLE * pieces.radii[piece]
             similar = np.flatnonzero(result)
@@ -182,8 +181,7 @@ class Visibility:
         local = np.column_stack([places, start])[deep]
         points = self._pieces.centres[piece[deep]]
         points = points + np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
-        limit = CREDIBLE_PART * (start - end)[deep]
-        point, partner = self._partners.near(points, limit)
+        point, partner = self._partners.near(points, CREDIBLE_PART * (start - end)[deep])
         if self._body is not None:
             elsewhere = self._body[partner] != self._body[piece[deep]][point]
             point, partner = point[elsewhere], partner[elsewhere]
@@ -197,8 +195,7 @@ def _around_origin(corners: Array) -> Mask:
         low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
         slack = MISMATCH * (high - low)
         return np.asarray((low <= slack) & (high >= -slack))
-    following = np.roll(corners, -1, axis=1)
-    turns = _cross(corners, following)
+    turns = _cross(corners, np.roll(corners, -1, axis=1))
     slack = MISMATCH * np.abs(turns).sum(axis=1, keepdims=True)
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
 

@@ -468,8 +468,7 @@ class Newton:
         if number == 1 or not 0.0 < least < least_before < math.inf:
             return False
         rate = (least / least_before) ** (1.0 / (number - 1 - middle))
-        at_end: float = least * rate ** (MAX_ITERATIONS_FACTOR * most - number)
-        return at_end <= 1.0
+        return bool(least * rate ** (MAX_ITERATIONS_FACTOR * most - number) <= 1.0)
 
     def _step(self) -> ContactSolution:
         """Solve the contact problem of a step, with added stiffness if needed. Collective.

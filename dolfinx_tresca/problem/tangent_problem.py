@@ -301,8 +301,7 @@ class TangentProblem(ContactSystem):
         u.x.array[:] = self.u.x.array
         u.x.array[: len(tangent.prescribed)][tangent.prescribed] = tangent.prescribed_values()
         u.x.scatter_forward()
-        contact = jump.gap + self.history_of_solve().origin
-        missing = contact - jump.of_unknowns(u.x.petsc_vec)
+        missing = jump.gap + self.history_of_solve().origin - jump.of_unknowns(u.x.petsc_vec)
         B = jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
         rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
@@ -432,8 +431,7 @@ class TangentProblem(ContactSystem):
 
         NaN is large. The displacements are values of u with ghosts. Collective.
         """
-        size = max(map(self.energy_norm, displacements))
-        limit = max(ROUGH * size, self.rounding_norm())
+        limit = max(ROUGH * max(map(self.energy_norm, displacements)), self.rounding_norm())
         return bool(self.comm.bcast(not error <= limit))
 
     def rounding_norm(self) -> float:

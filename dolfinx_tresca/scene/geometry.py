@@ -247,8 +247,7 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
         )
     finite = np.isfinite(projected).all(axis=0)
     if not finite.all():
-        where = shown_place(points[~finite][0])
-        raise InputError(f"{name} gives no finite point next to {where}.")
+        raise InputError(f"{name} gives no finite point next to {shown_place(points[~finite][0])}.")
     result = points.copy()
     result[:, :dim] = projected.T[:, :dim]
     return result
@@ -280,8 +279,7 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
     surfaces = [(dim, entity) for entity in entities]
     place, distance = _nearest_points(model, surfaces, points)
     if dim > 1:
-        edges = model.getBoundary(surfaces, oriented=False)
-        on_edge, away = _nearest_points(model, edges, points)
+        on_edge, away = _nearest_points(model, model.getBoundary(surfaces, oriented=False), points)
         # other nodes are about a facet's size away from the edge, much more than from the surface
         place = np.where(away <= 3.0 * distance, on_edge, place)
     # nodes that are on the surface keep their coordinates to the last digit

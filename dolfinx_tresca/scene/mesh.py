@@ -214,8 +214,7 @@ def _meshed(
     _check_facets(gmsh.model, source)
     _number_nodes(gmsh.model)
     if suffix in (".geo", *CAD_SUFFIXES):
-        curved = curved_groups(gmsh.model)
-        return groups, GmshGeometry(source.resolve(), parameters, curved, unit)
+        return groups, GmshGeometry(source.resolve(), parameters, curved_groups(gmsh.model), unit)
     return groups, None if is_file else GmshGeometry.from_shapes(gmsh)
 
 

@@ -386,8 +386,7 @@ class RigidPlane(RigidObstacle):
         p, n = _present(_coordinates, "point", point), _present(_direction, "normal", normal)
 
         def distance(x: Array) -> tuple[Array, Array]:
-            normals = np.broadcast_to(n()[:, None], x.shape)
-            return n() @ (x - p()[:, None]), normals
+            return n() @ (x - p()[:, None]), np.broadcast_to(n()[:, None], x.shape)
 
         name = f"a rigid plane through {numbers_text(p())} with normal {numbers_text(n())}"
         super().__init__(distance, name, _constants_of(point, normal))

@@ -265,8 +265,7 @@ class Surface:
         }
         functions.setdefault("slip_increment", functions["slip"])
         displacement, V = zero_like(self.vector, u.name), u.function_space
-        moved = u.x.array.reshape(-1, V.dofmap.index_map_bs)
-        displacement.x.array[:] = moved[self.parent].ravel()
+        displacement.x.array[:] = u.x.array.reshape(-1, V.dofmap.index_map_bs)[self.parent].ravel()
         owned = V.dofmap.index_map.size_local
         areas = np.bincount(operators.nodes, operators.weights, owned).astype(np.float64)
         weights = self.function("weights", np.arange(owned, dtype=np.int32), areas).x.array

@@ -177,8 +177,7 @@ class Supports:
             )
         forces = self._at_nodes(self.residual)
         if frames is not None:  # loads are in space, internal forces in the frames
-            at_rest = ufl.replace(self.residual, {u: fem.Function(u.function_space)})
-            loads = self._at_nodes(at_rest)
+            loads = self._at_nodes(ufl.replace(self.residual, {u: fem.Function(u.function_space)}))
             forces = frames.into_space(forces - loads) + loads
         forces -= self.contact_force.x.array[: len(forces)]
         free = ~self.system.prescribed

@@ -190,8 +190,7 @@ def _motions_of_pair(
     yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
     if in_facets > 1.0 and pair.obstacle is None:
-        undeformed = operators.undeformed
-        facets = undeformed.displaced(V, shape)[-1]
+        facets = operators.undeformed.displaced(V, shape)[-1]
         beyond = ~_lies_over(comm, facets, operators, jumps)
         left, total = reduce_array(comm, np.array([force @ beyond, force.sum()]))
         text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that have "

@@ -263,8 +263,9 @@ class LinearSystem(PetscOwner):
         - q'C q. u has the prescribed values.
         """
         # only displacements have nonzero prescribed values
-        forces = self.forces_of(u.array[self.prescribed]).array
-        work = np.where(self.prescribed, 0.0, u.array) @ forces
+        work = (
+            np.where(self.prescribed, 0.0, u.array) @ self.forces_of(u.array[self.prescribed]).array
+        )
         work += (self.signs * u.array) @ self.product(u.array).array
         return 0.5 * float(self.comm.allreduce(work))
 
@@ -314,8 +315,7 @@ class LinearSystem(PetscOwner):
         """
         before, response = fem.Function(self.space), fem.Function(self.space)
         before.x.array[slice(None) if self.component is None else self.component.dofs] = u.x.array
-        owned = before.x.array[: len(self.prescribed)]
-        change = self.prescribed_values() - owned[self.prescribed]
+        change = self.prescribed_values() - before.x.array[: len(self.prescribed)][self.prescribed]
         changed, largest = largest_sizes(self.comm, change, u.x.array)
         if changed > ROUNDING * largest:
             forces = self.forces_of(change)
@@ -336,8 +336,7 @@ class LinearSystem(PetscOwner):
                     "the matrix a has nothing but a diagonal where bcs prescribe values that are "
                     "not zero, whose effect elsewhere is lost. Assemble it without bcs."
                 )
-        forces = self.forces_of(owned[self.prescribed])
-        owned[~self.prescribed] -= forces.array[~self.prescribed]
+        owned[~self.prescribed] -= self.forces_of(owned[self.prescribed]).array[~self.prescribed]
         self.f.x.scatter_forward()
         self._check_load()
 
