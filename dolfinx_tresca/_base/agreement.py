@@ -75,14 +75,6 @@ def collective(
     return decorate
 
 
-def _comm_of_group(comm: MPI.Comm) -> MPI.Comm:
-    """Return this module's own duplicate of a communicator, made by the first, collective call."""
-    same = (MPI.IDENT, MPI.CONGRUENT)
-    numbers = [k for k, own in enumerate(_comms) if MPI.Comm.Compare(own, comm) in same]
-    _comms.append(_comms.pop(numbers[0]) if numbers else comm.Dup())
-    return _comms[-1]
-
-
 def comm_of(*names: str) -> Callable[[Mapping[str, Any]], MPI.Comm | None]:
     """Return a function that finds the communicator among the named arguments, for `collective`."""
     return lambda given: _mesh_comm([given.get(name) for name in names])
@@ -134,7 +126,10 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
         where: the name of the call.
         values: function that returns name -> value; its exception on one rank is raised on all.
     """
-    comm = _comm_of_group(comm)
+    same = (MPI.IDENT, MPI.CONGRUENT)
+    numbers = [k for k, own in enumerate(_comms) if MPI.Comm.Compare(own, comm) in same]
+    _comms.append(_comms.pop(numbers[0]) if numbers else comm.Dup())
+    comm = _comms[-1]
     with errors_on_all_ranks(comm):
         texts: dict[str, str] = {}
         for name, value in values().items():

@@ -411,8 +411,7 @@ def solve_adaptively(
                     status = AdaptiveStatus.MAX_DOFS
                 else:
                     tagged_mesh = finer
-            is_end = status not in (None, AdaptiveStatus.FAILED)
-            if is_end and level.solution.options != options:
+            if status not in (None, AdaptiveStatus.FAILED) and level.solution.options != options:
                 solution = problem.solve()
                 products = level.products + solution.products
                 level = replace(level, solution=solution, products=products)

@@ -176,8 +176,7 @@ class ContactSystem(PetscOwner):
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective."""
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
-            self._state = self._state.with_tangents_of(jump)
-            self._replace_jump(jump)
+            self._replace_jump(jump, self._state.with_tangents_of(jump))
 
     @property
     def solved(self) -> StepSolution | None:
@@ -207,8 +206,7 @@ class ContactSystem(PetscOwner):
             moved_to = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
-            self._state = replace(state, jump=jump)
-            self._replace_jump(jump)
+            self._replace_jump(jump, replace(state, jump=jump))
             self.obstacles.place(moved_to)
 
     def begin_solve(self) -> None:
@@ -282,12 +280,11 @@ class ContactSystem(PetscOwner):
             if since_accepted.any() and self.frames_at_rest is not None:
                 frames = self.frames_at_rest.moved_with(u)
             jump = moved_jump(self.jump, self.pairs, u, anew, frames)
-            self._state = self._state.paired_at(jump, u, since_accepted)
-            self._replace_jump(jump)
+            self._replace_jump(jump, self._state.paired_at(jump, u, since_accepted))
 
-    def _replace_jump(self, jump: JumpOperator) -> None:
-        """Replace B after a new pairing, and drop what depends on the old B. Collective."""
-        before, self.jump = self.jump, jump
+    def _replace_jump(self, jump: JumpOperator, state: StepState) -> None:
+        """Replace B and the state, and drop what depends on the old B. Collective."""
+        before, self.jump, self._state = self.jump, jump, state
         self.linear.frames = jump.frames
         self.guess.newest = None
         self.compliance = self.compliance.on(jump)
@@ -299,9 +296,8 @@ class ContactSystem(PetscOwner):
         """Return the slip history whose origin moves with the obstacles. Collective."""
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
-        for normal, _ in self.jump.slices:
-            jumps[normal] = 0.0
-        return replace(state.history, origin=state.history.origin + jumps)
+        slips = np.where(self.jump.is_tangential, jumps, 0.0)
+        return replace(state.history, origin=state.history.origin + slips)
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length], NaN without multipliers. Collective."""

@@ -69,10 +69,9 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
 
     def radii_of_bound(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
-        ones = [np.ones(len(pair.nodes)) for pair in jump.pairs]
         bounds = [
             NodalBounds(constant * unit, coefficient * unit, np.inf * unit, np.ones((len(unit), 2)))
-            for unit in ones
+            for unit in [np.ones(len(pair.nodes)) for pair in jump.pairs]
         ]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
@@ -183,8 +182,7 @@ def moved_rows(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
             "no derivative with respect to its place. Compare two solutions."
         )
-    jumps = [side.of_displacement(contact.u) for side in sides]
-    return MovedRows(sides, jumps, step, origin)
+    return MovedRows(sides, [side.of_displacement(contact.u) for side in sides], step, origin)
 
 
 class DataVector(NamedTuple):
@@ -330,9 +328,8 @@ class DataOfSolution:
         by_prescribed.scatter_reverse(dolfinx.la.InsertMode.add)
         result = by_prescribed.array[: owned_size(control)] - self.derivative(self._work, control)
         for scalar in self._fields:
-            weights = scalar.effect.T @ derivatives.laws
             by_field = self._values.pulled_back(
-                scalar.field, control, scalar.nodes, weights, scalar.name
+                scalar.field, control, scalar.nodes, scalar.effect.T @ derivatives.laws, scalar.name
             )
             if by_field is not None:
                 result += by_field
@@ -399,8 +396,7 @@ def inputs_of_problem(system: ContactSystem) -> list[Any]:
     for pair in system.pairs:
         terms = pair.friction.terms
         functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
-        bounds = [getattr(terms, name) for name in TERMS]
-        inputs += inputs_of((pair.gap, *bounds, *functions))
+        inputs += inputs_of((pair.gap, *[getattr(terms, name) for name in TERMS], *functions))
     inputs += [bc.g for bc in system.linear.bcs]
     return list(dict.fromkeys(inputs))
 

@@ -194,10 +194,9 @@ class ProcessTape:
             InputError: see `gradient`.
             ConvergenceError: see `gradient`.
         """
-        steps = self._derivatives(goals, controls)
         return [
             as_derivatives(derivatives, controls, self.comm, f" in step {number}")
-            for number, derivatives in enumerate(steps)
+            for number, derivatives in enumerate(self._derivatives(goals, controls))
         ]
 
     def _derivatives(

@@ -165,10 +165,9 @@ class JumpOperator(PetscOwner):
         """
         count, radius = len(self.discs.radius), self._relative_radius
         scaled = radius * self._root_areas
-        factors = {"constant": scaled, "coefficient": radius, "limit": scaled}
         constant, coefficient, limit = (
             _scaled(np.concatenate([getattr(bounds, name) for bounds in slip_bounds]), by, count)
-            for name, by in factors.items()
+            for name, by in {"constant": scaled, "coefficient": radius, "limit": scaled}.items()
         )
         given = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):

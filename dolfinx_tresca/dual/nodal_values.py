@@ -244,9 +244,8 @@ class NodalValues:
         self._check_mesh(expression, name)
         if expression not in self._compiled:
             # expressions of numbers alone have no mesh
-            unity = fem.Constant(self._V.mesh, 1.0)
             self._compiled[expression] = fem.Expression(
-                unity * expression, interpolation_points(self._V.element)
+                fem.Constant(self._V.mesh, 1.0) * expression, interpolation_points(self._V.element)
             )
         cells, points = self._places[:, nodes]
         sampled = self._compiled[expression].eval(self._V.mesh, cells)

@@ -259,7 +259,8 @@ class DualProgram:
         if springs is not None:
             energy += springs.energy(u)
         jump = self.b + self.offset
-        if not system.driven_by_forces:
+        prescribed_values = system.f.x.array[: len(system.moves)][~system.moves]
+        if system.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR):
             forces = system.assemble_forces()
             u.set(0.0)
             if forces.x.petsc_vec.norm() > 0.0:

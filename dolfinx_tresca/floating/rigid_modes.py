@@ -62,8 +62,7 @@ class RigidBodyModes:
     def summary(self) -> str:
         """The numbers of floating and of softly held bodies, as the end of a sentence."""
         floating = np.unique(self.body[self.floats])
-        soft = np.setdiff1d(self.body, floating)
-        kinds = (floating, "by contact alone"), (soft, "softly")
+        kinds = (floating, "by contact alone"), (np.setdiff1d(self.body, floating), "softly")
         return "".join(
             f", {len(bodies)} of them held {how}" for bodies, how in kinds if len(bodies)
         )

@@ -160,8 +160,8 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     for field in fields:
         volume.append(_checked(field, u, [function.name for function in volume]))
     blocks = [("volume", _in_one_degree(volume))]
-    for surface in surfaces:
-        blocks.append(("contact" if len(surfaces) == 1 else surface.name, [*surface.functions]))
+    names = ["contact"] if len(surfaces) == 1 else [surface.name for surface in surfaces]
+    blocks += [(name, [*surface.functions]) for name, surface in zip(names, surfaces, strict=True)]
     grids: dict[str, Grid] = {}
     for number, (name, functions) in enumerate(blocks):
         grid = gather_grid(functions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -207,8 +207,7 @@ def evaluate(
     resultant = reduce_array(comm, force)
     places = np.vstack([pair.operators.places for pair in pairs])
     index = np.repeat(np.arange(len(pairs)), [len(pair.nodes) for pair in pairs])
-    point = on_bodies[0].point
-    on_pairs = resultants_on(comm, places, np.vstack(forces), index, len(pairs), point)
+    on_pairs = resultants_on(comm, places, np.vstack(forces), index, len(pairs), on_bodies[0].point)
     openings = largest_sizes(comm, *openings)
     pair_states = map(PairState, pressed_counts, node_counts, openings)
     primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
@@ -227,6 +226,9 @@ def evaluate(
             "in the energy norm has nothing to refer to",
         )
     cells = dual.compliance.estimator.cell_errors(deformation) if estimate else None
+    # slip bounds change as the tractions of each node move to the local minimiser
+    bounds, changed = (cones.radius[np.isfinite(section.radius)] for cones in (section, moved))
+    change, largest = largest_sizes(comm, changed - bounds, bounds)
     evaluation = Evaluation(
         u=u,
         w=w,
@@ -242,7 +244,7 @@ def evaluate(
         energy_error_bound=relative_error(dual, bound, norm),
         bound_is_rigorous=dual.compliance.exact,
         local_error=dual.local_error(solution.multipliers, r),
-        bound_error=_bound_error(section, moved, comm),
+        bound_error=change / largest if largest > 0.0 else float(change > 0.0),
         cell_errors=cells,
         discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
         counts=counts,
@@ -353,15 +355,3 @@ def status_of_fields(
     if balanced and as_requested:
         return ContactStatus.CONVERGED
     return solution.status if ended_early else ContactStatus.STAGNATED
-
-
-def _bound_error(section: FeasibleSet, moved: FeasibleSet, comm: Any) -> float:
-    """Return the largest change of a slip bound, relative to the largest bound. Collective.
-
-    The tractions of each node move to the node's local minimiser, see
-    `DualProgram.local_minimiser`.
-    """
-    finite = np.isfinite(section.radius)
-    before, after = section.radius[finite], moved.radius[finite]
-    change, largest = largest_sizes(comm, after - before, before)
-    return change / largest if largest > 0.0 else float(change > 0.0)

@@ -75,10 +75,9 @@ def has_stresses(L: Any) -> bool:
     """Return whether a form L has derivatives of its test function, as of thermal strains."""
     if not isinstance(L, ufl.Form):
         return False
-    integrals = apply_derivatives(apply_algebra_lowering(L)).integrals()
     return any(
         isinstance(node, Grad) and isinstance(node.ufl_operands[0], Argument)
-        for integral in integrals
+        for integral in apply_derivatives(apply_algebra_lowering(L)).integrals()
         for node in unique_pre_traversal(integral.integrand())
     )
 

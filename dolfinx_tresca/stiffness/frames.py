@@ -140,8 +140,7 @@ class BodyFrames:
         R maps the undeformed guides best, in the least-squares sense, onto their displaced
         positions (polar decomposition), among the rotations that the body's axis allows.
         """
-        owned = len(self.guides)
-        mean, moments = self._moments(self._positions(u)[:owned])
+        mean, moments = self._moments(self._positions(u)[: len(self.guides)])
         translation = np.where(self.has_frame[:, None], mean - self.centre, 0.0)
         # a body that turns about an axis has the moments of its positions across the axis, and
         # along the axis so large a moment that the axis stays

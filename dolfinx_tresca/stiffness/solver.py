@@ -341,8 +341,7 @@ def _check_pivots(K: PETSc.Mat, pc: PETSc.PC, constraints: int | None) -> None:
     """Check that K is positive definite, or has the signs of a saddle point; see `cholesky`."""
     if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
         return  # the user has chosen another solver
-    factor = pc.getFactorMatrix()
-    failure, reason, negative, zero = map(factor.getMumpsInfog, (1, 2, 12, 28))
+    failure, reason, negative, zero = map(pc.getFactorMatrix().getMumpsInfog, (1, 2, 12, 28))
     if failure < 0:
         raise StiffnessError(
             f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} (-10: "

@@ -227,12 +227,6 @@ class LinearSystem(PetscOwner):
         same = map(np.array_equal, forms.coefficients(self.form), self._coefficients)
         return bool(self.comm.allreduce(not all(same), op=MPI.LOR))
 
-    @property
-    def driven_by_forces(self) -> bool:
-        """Whether the load consists of forces only: prescribed values are zero. Collective."""
-        prescribed_values = self.f.x.array[: len(self.moves)][~self.moves]
-        return not self.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR)
-
     def displacement_stiffness(self) -> PETSc.Mat:
         """Return K, or for a mixed space the block of displacements of K. Collective."""
         return self.K if self.component is None else self.component.block(self.K)
