@@ -23,9 +23,8 @@ from dolfinx_tresca.errors import InputError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-#: Communicators for the comparisons, one for each group of processes. The last entry is the
-#: communicator that was used last. It serves calls whose arguments are wrong and have no
-#: communicator.
+#: Communicators for the comparisons, one for each group of processes. The last one used is the last
+#: entry: it serves calls whose arguments are wrong and have no communicator.
 _comms: list[MPI.Comm] = []
 
 

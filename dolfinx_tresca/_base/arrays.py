@@ -21,15 +21,13 @@ Matrix: TypeAlias = Array | csr_array
 LocalNumbers: TypeAlias = npt.NDArray[np.int32]
 GlobalNumbers: TypeAlias = npt.NDArray[np.int64]
 
-#: Lower bound that is imposed on divisors and on arguments of logarithms. It is smaller than any
-#: length, stiffness, energy or barrier of a scene in any units, and its reciprocal does not
-#: overflow.
+#: Lower bound imposed on divisors and on arguments of logarithms, smaller than any quantity of a
+#: scene in any units; its reciprocal does not overflow.
 LEAST_DIVISOR = 1e-300
 
 #: The difference of two numbers counts as rounding up to this multiple of the sum of the absolute
-#: values of the terms from which the numbers are computed. This multiple is the rounding error of
-#: some hundred operations. Doubling or halving it changes no status and no number of products
-#: (benchmarks/ablation.py).
+#: values of their terms: the rounding of some hundred operations. Doubling or halving it changes no
+#: status and no number of products (benchmarks/ablation.py).
 ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 

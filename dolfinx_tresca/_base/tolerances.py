@@ -6,16 +6,14 @@ their definition that says why they differ.
 
 from __future__ import annotations
 
-#: Largest accepted error of an inner problem, relative to the error or the change of the outer
-#: problem. The constant limits three ratios: the error of a product to the step, the error of the
-#: last gradient to the requested error, and the residual of a model's solution to the tolerance.
-#: With twice this value, the scenes of benchmarks/ablation.py take 4 % more products and 3 % fewer
-#: Krylov iterations; with half of it, they take 2 % fewer products and 4 % more Krylov iterations.
+#: Largest accepted error of an inner problem, relative to the error or the change of the outer one:
+#: of a product to the step, of the last gradient to the requested error, and of a model's solution
+#: to the tolerance. With twice this value, the scenes of benchmarks/ablation.py take 4 % more
+#: products; with half of it, 4 % more Krylov iterations.
 FORCING = 0.1
 
 #: Relative error that is requested of quantities that only decide between alternatives, or scale
-#: other quantities. Doubling or halving it changes numbers of products in benchmarks/ablation.py by
-#: two at most.
+#: other ones. Doubling or halving it changes numbers of products by two at most.
 ROUGH = 1e-3
 
 #: Largest accepted ratio of an error to the requested error. It is above 1: an error is computed
@@ -33,9 +31,8 @@ ASSEMBLY_ROUNDING = 1e-12
 FULL_ACCURACY = 1e-13
 
 
-#: An iteration makes progress if its residual is below this multiple of the least earlier residual.
-#: If the distance of the number from 1 is doubled or halved, numbers of products of
-#: benchmarks/ablation.py change by two at most.
+#: An iteration makes progress if its residual is below this multiple of the least earlier one. If
+#: the distance of the number from 1 is doubled or halved, products change by two at most.
 PROGRESS = 0.9
 
 #: Number of iterations without progress after which a contact problem counts as stalled, and after
@@ -45,11 +42,10 @@ PROGRESS = 0.9
 PATIENCE = 25
 
 #: Number of steps without much progress after which another way is tried, which costs more than a
-#: further step: the rest of A is computed (`solvers/iteration.py`), Newton's method with a model of
-#: A takes a whole step even if the residual grows (watchdog technique, Chamberlain et al. 1982), or
-#: a product with A replaces products with the near field. Without whole steps, two strips of 400
-#: cells whose joint nearly slips take 85 steps in place of 19; with 5, piles of stones take a fifth
-#: more steps, and some are not solved (`tests/validation/test_random_piles.py`).
+#: step: the rest of A is computed (`solvers/iteration.py`), Newton's method with a model of A takes
+#: a whole step even if the residual grows (watchdog technique, Chamberlain et al. 1982), or a
+#: product with A replaces products with the near field. With 5, piles of stones take a fifth more
+#: steps, and some are not solved (`tests/validation/test_random_piles.py`).
 SHORT_PATIENCE = 8
 
 #: Limit on the steps of an inner iteration. Most inner iterations end after a few steps. In

@@ -26,10 +26,9 @@ from dolfinx_tresca.table import Units
 ANDERSON_DEPTH = 3
 
 #: Anderson's acceleration uses the Gram matrix of differences of residuals u - w, each divided by
-#: its length. Eigenvectors are ignored if their eigenvalue is below this fraction of the largest
-#: one: they belong to combinations of nearly dependent differences, which are noise. (The half ring
-#: of benchmarks/finite_sliding.py took 187 Newton steps with 1e-12, 160 with 1e-3; 32 cells, 11
-#: load steps, `geometry_accuracy=1e-6`.)
+#: its length. Eigenvectors with an eigenvalue below this fraction of the largest one are ignored,
+#: since they are noise of dependent differences. (With 1e-12, the half ring of
+#: benchmarks/finite_sliding.py takes 187 Newton steps in place of 160.)
 DEPENDENT = 1e-3
 
 #: Two configurations are alike, and their difference tells how u changes with w, if at most this
@@ -38,12 +37,11 @@ ALIKE = 0.1
 
 #: Least distance from 0 and from 1 of two estimated fractions. One is the part of the last step
 #: between two configurations that are not alike, whose residuals point at each other, at which the
-#: next one lies: the solution is between them. The other is the ratio of a change of forces or gaps
-#: to the previous change: a step of Anderson's acceleration may succeed by chance, and a convergent
-#: iteration has a ratio below 1. A change whose ratio is below both this number and the ratio of
-#: the residuals u - w is small by chance. It is replaced by the previous change times the smaller
-#: of these two ratios: without this replacement, 28 of 200 random scenes, solved to 1e-5 and to
-#: 1e-6, had more than ten times the requested error; with it, 8 have.
+#: next one lies. The other is the ratio of a change of forces or gaps to the previous change, below
+#: 1 if the iteration converges. A change whose ratio is below both this number and the ratio of the
+#: residuals u - w is small by chance, and is replaced by the previous change times the smaller of
+#: the two: without this, 28 of 200 random scenes had more than ten times the requested error, with
+#: it 8.
 LEAST_FRACTION = 0.1
 
 #: Number of successive configurations in which |u - w| grows, as where bodies snap. With 1, folds

@@ -311,9 +311,7 @@ class DataOfSolution:
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
         """Return the derivatives of a goal by the values of a Function that this rank owns.
 
-        Collective.
-
-        The other `derivatives` are those with respect to the data.
+        Collective. The other `derivatives` are those with respect to the data.
         """
         prescribed = self.system.linear.prescribed
         self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
@@ -338,9 +336,8 @@ class DataOfSolution:
     def _prescribed_by(self, control: Control, values: Array) -> Array:
         """Return the values that Dirichlet conditions take from a control. Not collective.
 
-        DOLFINx does not say which values these are: the effect of the conditions shows it.
-
-        The control takes the given values. The result (owned degrees of freedom,) is zero where no
+        DOLFINx does not say which values these are: the effect of the conditions shows it. The
+        control takes the given values. The result (owned degrees of freedom,) is zero where no
         condition takes a value from it.
         """
         ends = np.zeros((2, len(self.u.x.array)))

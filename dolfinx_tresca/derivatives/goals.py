@@ -55,12 +55,11 @@ from dolfinx_tresca.solution.fields import Surface
 WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 
 #: Degree of the elements -> assumed relative error of the estimates of cells' squared energy
-#: errors. Let e be the error of the displacement, and e' the error of the adjoint. By the
-#: parallelogram identity the sum of a(e, e') over the cells then has this uncertainty, relative to
-#: the sum of the products of the energy norms of e and e' (Prudhomme and Oden, On goal-oriented
-#: error estimation for elliptic problems, 1999). If the numbers are doubled, the estimate is above
-#: 5 times the error on twice as many meshes, and below 0.7 times the error on a third fewer meshes;
-#: see "Measured once" in benchmarks/README.md.
+#: errors. With the errors e of the displacement and e' of the adjoint, the sum of a(e, e') over the
+#: cells then has this uncertainty, relative to the sum of the products of their energy norms
+#: (Prudhomme and Oden, On goal-oriented error estimation for elliptic problems, 1999). If doubled,
+#: the estimate is above 5 times the error on twice as many meshes (benchmarks/README.md, "Measured
+#: once").
 DOUBT = {1: 0.15, 2: 0.25}
 
 
@@ -352,9 +351,8 @@ def explicit_rate(
     """Return the change of a goal with u and the multipliers fixed, to first order. Collective.
 
     A form of rank 0 may depend on controls, and a goal such as a force depends on the position of
-    obstacles through normals and tangents.
-
-    The `change` of the data is that which the changes of the controls cause.
+    obstacles through normals and tangents. The `change` of the data is that which the changes of
+    the controls cause.
     """
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)

@@ -114,11 +114,9 @@ class LinearisedContact:
         """Return the tangent (du, dx): the change of the solution by given changes of the data.
 
         Here du is a displacement and dx (size,) are multipliers, see the module. Products with A
-        are kept for later solves. Collective.
-
-        The force (owned degrees of freedom,) is df, in rows of prescribed values the change of
-        these values. The offset (size,) is the change of (d; s), divided by
-        `JumpOperator.length_scale`, and the radius (n_discs,) that of the discs.
+        are kept for later solves. Collective. The force (owned degrees of freedom,) is df, in rows
+        of prescribed values the change of these values. The offset (size,) is the change of (d; s),
+        divided by `JumpOperator.length_scale`, and the radius (n_discs,) that of the discs.
 
         Raises:
             ConvergenceError: no tangent exists.
@@ -135,10 +133,9 @@ class LinearisedContact:
         """Return the adjoint (z, y) for the goal on_jump'B u + on_x'x + on_u'u. Collective.
 
         Here z is a displacement, zero where u is prescribed, and y (size,) are multipliers, see the
-        module. Products with A are kept for later solves.
-
-        The vector on_u (owned degrees of freedom,) is zero where u is prescribed. The relative
-        error of y in the energy norm is at most the accuracy; None: `ACCURACY`.
+        module. Products with A are kept for later solves. The vector on_u (owned degrees of
+        freedom,) is zero where u is prescribed. The relative error of y in the energy norm is at
+        most the accuracy; None: `ACCURACY`.
 
         Raises:
             ConvergenceError: no adjoint exists.

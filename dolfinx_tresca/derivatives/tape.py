@@ -204,9 +204,7 @@ class ProcessTape:
     ) -> list[list[Any]]:
         """Return for each step the derivatives with respect to the controls in this step.
 
-        Collective.
-
-        See `gradient`.
+        Collective. See `gradient`.
         """
         contact = self._contact
         contact.check_not_destroyed()

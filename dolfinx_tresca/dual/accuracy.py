@@ -183,9 +183,8 @@ class EnergyBound:
         """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.
 
         The gradient r (size,) is that of the computed displacement u, d - N u and -T u. The error
-        of u is at most `error` in the norm |u - K^-1 (f - B'x)|_K.
-
-        The bound is infinite if there is none, or if rows of B are linearly dependent.
+        of u is at most `error` in the norm |u - K^-1 (f - B'x)|_K. The bound is infinite if there
+        is none, or if rows of B are linearly dependent.
         """
         if self._lift is None:
             return np.inf
@@ -210,10 +209,8 @@ CELLS_AT_ONCE = 50_000
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
 #: Approximate ratio of the error to the difference between the gradient and its mean at the nodes,
-#: both in the energy norm, for degrees 1 and 2, by whether cells are simplices. The ratio is not 1,
-#: since the mean has a higher order than the gradient only for degree 1, and since singular edges
-#: lower the difference by up to a third. The factors are in the middle of the ranges that were
-#: measured (benchmarks/README.md, "Measured once").
+#: both in the energy norm, for degrees 1 and 2, by whether cells are simplices: the middle of the
+#: ranges that were measured (benchmarks/README.md, "Measured once").
 RECOVERY_FACTOR = {True: (1.15, 1.8), False: (1.0, 1.5)}
 
 
@@ -333,13 +330,10 @@ class DiscretisationError:
     def _classify_materials(self, energy: fem.Form, volume: fem.Form) -> tuple[Indices, int]:
         """Return the material (cells,) of each of this rank's cells, and the number of materials.
 
-        Collective.
-
-        A material is a group of cells whose stiffnesses have no large gap between them: a stiffness
-        that varies gradually makes one group.
-
-        The form `energy` gives each cell's energy for the same gradient in all cells, and `volume`
-        the cells' volumes, or those of their rings up to a constant factor.
+        Collective. A material is a group of cells whose stiffnesses have no large gap between them:
+        a stiffness that varies gradually makes one group. The form `energy` gives each cell's
+        energy for the same gradient in all cells, and `volume` the cells' volumes, or those of
+        their rings up to a constant factor.
         """
         volumes = self._assembled(volume)
         stiffness = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
@@ -352,9 +346,7 @@ class DiscretisationError:
     def _recover(self, owned: LocalNumbers, volumes: Array) -> None:
         """Set the recovered gradient at nodes: the mean over adjacent cells, weighted by volume.
 
-        Collective.
-
-        The `owned` cells (n,) have one material; the volumes are those of all cells.
+        Collective. The `owned` cells (n,) have one material; the volumes are those of all cells.
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)

@@ -36,9 +36,8 @@ def moved_jump(
     the primary side, the distance is measured to the bent edges, since they may now face other
     nodes; so the N u that is added contains their bending. On the secondary side, neither term
     contains the bending, which is part of N times the total displacement: the heights of curved
-    edges over their chords stay as in the previous B. Bonded pairs stay the same.
-
-    Surfaces are paired at u [length] if `anew` says so for their pair, and if they are not bonded.
+    edges over their chords stay as in the previous B. Bonded pairs stay the same. Surfaces are
+    paired at u [length] if `anew` says so for their pair, and if they are not bonded.
 
     Raises:
         PairingError: the moved surfaces cannot be paired.
@@ -77,10 +76,9 @@ def _bent_primary(
     """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
 
     N of the result enters the gap. On a surface that touches itself the primary nodes are those
-    opposite to secondary nodes. If the true surface of a side is known, primary edges are
-    straight, too: the height of these surfaces over the facets is kept.
-
-    Displacements are arrays (nodes, dim of space) [length]; `straight_u` is `straightened` u.
+    opposite to secondary nodes. If the true surface of a side is known, primary edges are straight,
+    too: the height of these surfaces over the facets is kept. Displacements are arrays (nodes, dim
+    of space) [length]; `straight_u` is `straightened` u.
     """
     sides = operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:

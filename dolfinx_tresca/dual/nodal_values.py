@@ -78,10 +78,9 @@ def central_differences(
 ) -> Array | None:
     """Return the derivatives of values along directions of a control. Collective.
 
-    No list of what a Python function reads is needed: the result is None if nothing changes.
-
-    The `directions` are (k, number of values of the control), the values of this rank (n, ...), and
-    the result (k, n, ...). Error messages call the values by the name.
+    No list of what a Python function reads is needed: the result is None if nothing changes. The
+    `directions` are (k, number of values of the control), the values of this rank (n, ...), and the
+    result (k, n, ...). Error messages call the values by the name.
 
     Raises:
         InputError: the values change, and the control is a Function.

@@ -37,12 +37,10 @@ from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver, cholesky
 
 #: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
-#: or more than MOST_ON_BODY multipliers. Both numbers limit the number of solves with K. With half
-#: the share, two of 216 standing piles of stones (`tests/validation/test_random_piles.py`) are not
-#: solved, and all piles together take 3,594 iterations and 7,088 products in place of 1,253 and
-#: 8,243; with twice the share, they take 463 and 8,770. Two walls of 15 bricks, with up to 220 and
-#: 348 multipliers on a brick, would take 0.5 and 0.65 times the time if A were computed as a
-#: matrix.
+#: or more than MOST_ON_BODY multipliers, which limit the number of solves with K. With half the
+#: share, two of 216 piles of stones (`tests/validation/test_random_piles.py`) are not solved; with
+#: twice the share, all take 8,770 products in place of 8,243. Two walls of 15 bricks with up to 348
+#: multipliers on a brick would take 0.65 times the time with such a matrix.
 BODY_SHARE, MOST_ON_BODY = 0.5, 200
 
 #: Number of solves with K in one block.
@@ -144,17 +142,15 @@ def _forces_on_bodies(
     return number // bodies, number % bodies, csr_array((data, (force, indices)), shape=shape)
 
 
-#: Number of layers of cells around the contact whose nodes may move. `LAYERS` is for a direct
-#: solver for K. `LAYERS_BEFORE_COARSE` is for multigrid, whose coarse level represents the rest of
-#: the bodies. (On two bricks with a direct solver, a load step takes up to 10 products with one
-#: layer, 8 with two layers, and more without layers. With multigrid, a solve takes 33 Krylov
-#: iterations with one layer, and 30 with two layers, which cost twice as much.)
+#: Number of layers of cells around the contact whose nodes may move: `LAYERS` with a direct solver
+#: for K, `LAYERS_BEFORE_COARSE` with multigrid, whose coarse level represents the rest of the
+#: bodies. (On two bricks a load step takes up to 10 products with one layer, 8 with two; with
+#: multigrid 33 and 30 Krylov iterations, which then cost twice as much.)
 LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
 
-#: Largest number of unknowns of the level. A factorisation takes a hundredth of a second, a solve a
-#: millisecond. (On two bricks with N = 16, a contact solve takes 63 Krylov iterations with 42
-#: unknowns, 58 with 306 unknowns, and 54 with 2244 unknowns.)
+#: Largest number of unknowns of the level, whose factorisation takes a hundredth of a second. (On
+#: two bricks, a solve takes 63 Krylov iterations with 42 unknowns, and 54 with 2,244.)
 MOST_UNKNOWNS = 3000
 
 
@@ -162,10 +158,9 @@ def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None
     """Return the factors of P'KP for the largest multigrid level that is small enough.
 
     The columns of P are the basis displacements of the level (`MOST_UNKNOWNS`): they move bodies as
-    a whole. The caller owns the result. Collective.
-
-    The result has the interpolations whose product is P, the finest first. It is None if the
-    preconditioner is not multigrid, if no level is small enough, or if it cannot be factored.
+    a whole. The caller owns the result. Collective. The result has the interpolations whose product
+    is P, the finest first. It is None if the preconditioner is not multigrid, if no level is small
+    enough, or if it cannot be factored.
     """
     interpolations: list[PETSc.Mat] = []
     while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
@@ -280,10 +275,9 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
     return np.asarray(near.array[: nodes.size_local] > 0.0)
 
 
-#: With a direct solver, A is computed at once if it has at most `FEW` rows. If K has fewer than
-#: `CHEAP` unknowns, as in the plane, columns of A cost less, and the number of rows may be larger
-#: in proportion. (Two strips in the plane with 802 rows and 4,812 unknowns, continued from a file,
-#: take 13 iterations in place of 1, and six times the time, without.)
+#: With a direct solver, A is computed at once if it has at most `FEW` rows; if K has fewer than
+#: `CHEAP` unknowns, as in the plane, the number of rows may be larger in proportion. (Without, two
+#: strips in the plane with 802 rows, continued from a file, take six times the time.)
 FEW, CHEAP = 400, 10_000
 
 
@@ -349,10 +343,8 @@ class ContactCompliance(PetscOwner):
         """Return products (size, count) with unit vectors or sums of unit vectors. Collective.
 
         Each column counts as a product. Blocks of columns are solved together, which with a direct
-        solver costs far less than single products.
-
-        The `place` (size,) is the column in which each multiplier is 1. B may be another matrix
-        than that of the jumps in A = B K^-1 B'.
+        solver costs far less than single products. The `place` (size,) is the column in which each
+        multiplier is 1. B may be another matrix than that of the jumps in A = B K^-1 B'.
         """
         prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
         for start in range(0, count, BLOCK):

@@ -167,9 +167,8 @@ class DualProgram:
         known displacement near x and solves to the requested accuracy only. Such a solve counts as
         a product, unless the known displacement is already accurate enough. The error includes the
         rounding of r: products are differences of gradients, and if steps are small compared with
-        the gaps, these differences may be pure rounding.
-
-        The returned error exceeds `accuracy` if the solver does not reach it.
+        the gaps, these differences may be pure rounding. The returned error exceeds `accuracy` if
+        the solver does not reach it.
         """
         if self._solver.exact:
             presses = float(self.inner(x, x)) > 0.0
@@ -207,10 +206,9 @@ class DualProgram:
         multipliers was checked is returned unchanged, since a more accurate displacement may have a
         larger error bound. The bounds of two displacements may differ by more than the energy norm
         of the displacements' difference: for a bound, gaps are closed by moving contact nodes
-        alone, and this takes much energy if the difference is smooth and cells are flat.
-
-        The error of u in the energy norm is at most `accuracy`, without effect on a direct solver;
-        with None, the options of the solver determine it.
+        alone, and this takes much energy if the difference is smooth and cells are flat. The error
+        of u in the energy norm is at most `accuracy`, without effect on a direct solver; with None,
+        the options of the solver determine it.
         """
         solved = self._solved
         if solved is not None and float(self.inner(x - solved[0], x - solved[0])) == 0.0:
@@ -306,9 +304,8 @@ class DualProgram:
     def local_change(self, x: Array, r: Array) -> tuple[float, float]:
         """Return the largest change of tractions from x to the nodes' local minimisers. Collective.
 
-        The minimisers are the projection of `local_minimiser` onto Lambda.
-
-        The result is the change and the largest traction [stress].
+        The minimisers are the projection of `local_minimiser` onto Lambda. The result is the change
+        and the largest traction [stress].
         """
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
         sizes = [self._largest_stress(multipliers) for multipliers in (change, x)]
@@ -326,10 +323,9 @@ class DualProgram:
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.
 
-        Before the call, u is K^-1 (f - B'x).
-
-        The result is the gradient including the term -G c of the constraints, and the energy norm
-        of the rigid displacements that are still missing for equilibrium.
+        Before the call, u is K^-1 (f - B'x). The result is the gradient including the term -G c of
+        the constraints, and the energy norm of the rigid displacements that are still missing for
+        equilibrium.
         """
         r = self.gradient_of(u)
         if self.equilibrium is None:

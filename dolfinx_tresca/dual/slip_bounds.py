@@ -59,12 +59,10 @@ class NodalBounds:
 def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -> PairOperators:
     """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
-    Along its axes an ellipse can be scaled to a disc (`friction_discs`).
-
-    A node with a single tangential direction keeps this direction, and its slip bound is the
-    semi-diameter of the ellipse along this direction. A node whose ellipse is a circle keeps its
-    tangents. If neither tangents nor semi-axes change on this rank, up to rounding, the result is
-    `pair` itself.
+    Along its axes an ellipse can be scaled to a disc (`friction_discs`). A node with a single
+    tangential direction keeps this direction, and its slip bound is the semi-diameter of the
+    ellipse along this direction. A node whose ellipse is a circle keeps its tangents. If neither
+    tangents nor semi-axes change on this rank, up to rounding, the result is `pair` itself.
 
     Raises:
         InputError: a direction is not finite, is zero, or is normal to the surface.
@@ -140,14 +138,12 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
 def friction_discs(node: Indices, semi_axes: Array, count: int) -> tuple[Array, Array, Mask]:
     """Scale tangential unknowns such that each node's ellipse is a disc (docs/theory/coulomb.md).
 
-    The projection onto a disc is explicit, but the projection onto an ellipse is not.
-
-    For components t_i of the traction along semi-axes b_1 and b_2 the unknowns are t_i / stretch_i
-    with stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius
-    sqrt(b_1 b_2). If one semi-axis is zero, the disc of the node is an interval, from minus to plus
-    the other semi-axis. Not collective.
-
-    Each tangential row has its node in `node`, one of `count` nodes, and `PairOperators.semi_axes`.
+    The projection onto a disc is explicit, but the projection onto an ellipse is not. For
+    components t_i of the traction along semi-axes b_1 and b_2 the unknowns are t_i / stretch_i with
+    stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius sqrt(b_1 b_2).
+    If one semi-axis is zero, the disc of the node is an interval, from minus to plus the other
+    semi-axis. Not collective. Each tangential row has its node in `node`, one of `count` nodes, and
+    `PairOperators.semi_axes`.
 
     Returns:
         the stretch (n_tangential,), the ratio of traction to unknown [1]; the radius (n,) of the

@@ -46,9 +46,8 @@ LOAD_RESERVE = 1e-6
 #: the largest squared jump of the body's modes.
 UNRESISTED_SQUARE = 1e-6
 
-#: Number of motions that are computed if contact does not resist some joint motions of many bodies.
-#: To compute all motions of hundreds of bodies would take a dense eigenvalue problem. The number
-#: changes nothing but the error message, which names bodies that move in these motions.
+#: Number of motions that are computed, for an error message, if contact does not resist some joint
+#: motions of many bodies: all of them would take a dense eigenvalue problem.
 MOTIONS = 6
 
 #: Number of modes at and above which a few motions are computed in place of all motions.
@@ -335,9 +334,8 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
 
     Single bodies that move while all others rest are looked for first, then bodies that move
     together. The limit for joint motions of n bodies is smaller, since the resistance falls with n:
-    the least eigenvalue of a stack of n bodies is about 1 / n^4.
-
-    The `gram` (m, m) has the products of the modes' jumps, with 1 on the diagonal.
+    the least eigenvalue of a stack of n bodies is about 1 / n^4. The `gram` (m, m) has the products
+    of the modes' jumps, with 1 on the diagonal.
 
     Returns:
         the components (m, count) of the motions in the modes, empty if there is no such motion;

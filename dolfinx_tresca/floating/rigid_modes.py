@@ -76,9 +76,8 @@ class RigidBodyModes:
         """Return in words a body that moves, its motion, and the bodies that also move. Collective.
 
         The body is the first of those that move most. Bodies count as moving if they move by more
-        than `NAMED_PART` of the largest motion.
-
-        The components are (k,), or (k, columns) for several motions.
+        than `NAMED_PART` of the largest motion. The components are (k,), or (k, columns) for
+        several motions.
         """
         moved = self.mode_components @ components.reshape(len(self), -1)
         moved = moved.reshape(self.bodies.count, -1, moved.shape[1])
@@ -247,10 +246,8 @@ class FixingSprings:
     def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> tuple[csr_array, csr_array]:
         """Return the displacements caused by forces of the springs alone. Collective.
 
-        In a system with the matrix K_p, forces Z Z'R of the fixing springs alone cause
-        U = K_p^-1 Z Z'R. U equals R for modes that K does not resist.
-
-        The solver is that for `added_to(K)`.
+        They are U = K_p^-1 Z Z'R, and equal R for modes that K does not resist. The solver is that
+        for `added_to(K)`.
 
         Returns:
             U (owned degrees of freedom, k), and the stiffness (k, k) of K against U; both sparse.
@@ -285,10 +282,8 @@ class FixingSprings:
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
     """Return springs that fix floating and softly held bodies; None if no body needs springs.
 
-    Not collective.
-
-    In a mixed space softly held bodies get no springs, since the factorisation of K does not need
-    positive pivots there.
+    Not collective. In a mixed space softly held bodies get no springs, since the factorisation of K
+    does not need positive pivots there.
 
     Raises:
         InputError: the space is mixed and a body floats.

@@ -25,19 +25,17 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, unit
 from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
 
 #: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
-#: the surfaces are paired (29 degrees). Flat facets that are farther from being parallel cannot
-#: touch but at their ends. With twice this angle a chamfer of 45 degrees is paired with the wall
-#: that it recedes from, along a normal between both; with half of it, wedges lose their partners
-#: after small rotations.
+#: the surfaces are paired (29 degrees): flat facets farther from being parallel touch at their ends
+#: only. With twice this angle a chamfer of 45 degrees is paired with the wall that it recedes from;
+#: with half of it, wedges lose their partners after small rotations.
 OPPOSED_ANGLE = 0.5
 
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
 #: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
-#: the surface counts as curved over the side. The height falls to zero where the sum is equal to
-#: the difference: at a kink between flat facets. (With half of this, errors of nodal normals would
-#: change the heights on irregular meshes.)
+#: the surface counts as curved over the side. The height falls to zero where both are equal: at a
+#: kink between flat facets. (With half of this, heights on irregular meshes would change.)
 UNEVEN = 0.5
 
 #: Angle by which normals turn over a facet next to a kink [rad] up to which the mean normals at the
@@ -51,9 +49,8 @@ KINK_ANGLE = 0.1
 FLAT_ANGLE = 1e-3
 
 #: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
-#: neighbour's height: the weights of the two slopes, of the mean curvature and of the two
-#: differences of curvatures. With few neighbours the fit stays close to a sphere with the mean
-#: normal.
+#: neighbour's height: of the two slopes, of the mean curvature and of two differences of
+#: curvatures. With few neighbours the fit stays close to a sphere with the mean normal.
 TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 

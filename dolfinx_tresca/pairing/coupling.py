@@ -35,28 +35,23 @@ from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
-#: over whole facets, with which the node carries a multiplier. At nodes on the rim of the overlap,
-#: corners included, this ratio is 1. At nodes beyond a straight rim it is 1 - d, where d is the
-#: distance from the rim divided by the size of the facet: the limit admits d up to 0.12. If it were
-#: 0.76 (twice this d), nodes just beyond a block's edge would have up to 1.5 times the pressure of
-#: the nodes on the edge. If it were 0.94 (half this d), nodes of a circle of 16 segments would lose
-#: their multipliers if they lie outside the chords of the other body's mesh.
+#: over whole facets, with which the node carries a multiplier: 1 at nodes on the rim of the
+#: overlap, and 1 - d beyond a straight rim, at the distance d in sizes of the facet. With 0.76,
+#: nodes just beyond a block's edge would have up to 1.5 times the pressure of the nodes on the
+#: edge; with 0.94, nodes of a circle of 16 segments would lose their multipliers.
 LEAST_MEAN = 0.88
 
-#: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered. On
-#: an overlap with a width of one or two facets `LEAST_MEAN` would leave a single line of nodes,
-#: about which a body could rotate (tests/validation/test_random_floating.py, scene 3). With half
-#: of this limit, nodes with a twentieth of their area covered would carry multipliers.
+#: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered: on
+#: an overlap as wide as one or two facets `LEAST_MEAN` would leave a line of nodes, about which a
+#: body could rotate. With half of it, nodes with a twentieth of their area covered would carry.
 LEAST_MEAN_OF_FEW = 0.45
 
-#: Least covered part of a node's area with which the node carries a multiplier. (At the limit
-#: rounding would decide, so the limit is not a round number: no overlap by a round part of a cell,
-#: such as 0.1 or 0.01, covers exactly this part of an area.)
+#: Least covered part of a node's area with which the node carries a multiplier: no round number,
+#: since rounding would decide for overlaps by a round part of a cell, such as 0.1 or 0.01.
 LEAST_AREA_PART = 3e-4
 
-#: A warning is logged if the penetration of bodies is less than this part of the sagitta (the
-#: height of their curved surfaces over the facets). The error of the sagitta, 1 to 5 % of the
-#: sagitta, may then be more than a tenth of the penetration.
+#: A warning is logged if bodies penetrate by less than this part of the sagitta (the height of
+#: their curved surfaces over the facets), whose error is 1 to 5 %.
 CLOSE_FIT = 0.5
 
 #: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
@@ -64,13 +59,11 @@ CLOSE_FIT = 0.5
 FITTED_PART = 0.25
 
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
-#: rounding of the coordinates times the sum of the row. (Integrals over overlaps are sums of
-#: differences of coordinates.)
+#: rounding of the coordinates times the sum of the row.
 ENTRY_ROUNDING = 8.0
 
-#: Difference of the means of two patches of a node over the primary side, relative to the means,
-#: up to which the patches face the same place. (With 0.5 the rim of a hole has no friction in its
-#: radial direction under the head of a bolt, whose friction is a sixth too small.)
+#: Difference of the means of two patches of a node over the primary side, relative to the means, up
+#: to which they face the same place. (With 0.5 friction is a sixth too small under a bolt's head.)
 SAME_MEANS = 1e-3
 
 

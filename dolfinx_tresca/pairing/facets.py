@@ -43,9 +43,8 @@ OFFSET_DEGREE = 4
 NEWTON_STEPS = 20
 
 #: Distance of two corners, relative to the size of the facet, up to which they match, in addition
-#: to the rounding of coordinates. Such a mismatch may leave this part of the area of facets
-#: uncovered, or cover it twice. Twice as much would admit meshes that are twice as far apart; those
-#: of a mesh generator differ by 1e-10 or less.
+#: to the rounding of coordinates: it may leave this part of the area of facets uncovered, or cover
+#: it twice. Meshes of a mesh generator differ by 1e-10 or less.
 MISMATCH = 1e-8
 
 #: What is nothing beside a facet, above the mismatch of meshes and far below their resolution: the
@@ -55,10 +54,9 @@ MISMATCH = 1e-8
 NEGLIGIBLE = 1e-6
 
 #: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
-#: degrees). At larger angles the facet's area is more than ten times the area of its projection.
-#: Also the length of the projection of a unit normal onto the free directions beyond which the
-#: projection, scaled to length 1, replaces the normal. (The mesh error tilts a normal out of a
-#: symmetry plane by a few degrees, not by 84.)
+#: degrees): beyond, its area is more than ten times that of its projection. Also the length of the
+#: projection of a unit normal onto the free directions beyond which the projection, scaled to
+#: length 1, replaces the normal.
 FACING_COSINE = 0.1
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge

@@ -28,12 +28,10 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Length of a facet, relative to its radius: the distance by which the primary side may recede over
-#: a facet. What is farther away than the nearest point by more than this is another surface behind
-#: the end of the nearest one: means over both would be wrong for either, as functions of the dual
-#: basis are negative in part. (With half of it, rounded bodies with facets of the size of their
-#: radius would lose parts of their overlap.) On a surface that touches itself, opposite facets are
-#: sought within this distance first: without this first search a wall of 2,046 bricks is paired in
-#: 71 s, and with half or twice the distance 150 bricks take 1.1 or 1.4 times as long.
+#: a facet. What is farther behind the nearest point is another surface, and means over both would
+#: be wrong for either. (With half of it, rounded bodies with facets of the size of their radius
+#: would lose parts of their overlap.) On a surface that touches itself, opposite facets are sought
+#: within this distance first; otherwise a wall of 2,046 bricks is paired in 71 s.
 FACET_LENGTH = 2.0
 
 #: Angle [rad] by which an obstacle's normal turns over a facet (10 degrees). Up to this angle the

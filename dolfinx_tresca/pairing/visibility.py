@@ -32,14 +32,12 @@ SHALLOW_DEPTH = 0.1
 #: 1, slight differences in size would decide, and between equal bricks rounding.
 FINER = 2.0**-0.5
 
-#: Direction that orders the facets of one body: oblique, so that it is parallel to no face of a
-#: usual slit. On a slit parallel to it rounding would decide the roles facet by facet, and most
-#: nodes of the slit would lose their multipliers.
+#: Direction that orders the facets of one body, parallel to no face of a usual slit: on such a slit
+#: rounding would decide the roles, and most nodes would lose their multipliers.
 ORDER = np.array([0.49, 0.63, 0.60])
 
-#: Two facets of one body that are behind each other count as the two faces of one wall, whose
-#: material is between them, if their distance is at least this part of their distance in the
-#: undeformed mesh. (Walls are not compressed to half of their thickness.)
+#: Two facets of one body that are behind each other count as the two faces of one wall if their
+#: distance is at least this part of that in the undeformed mesh: walls are not compressed so far.
 WALL_PART = 0.5
 
 
@@ -417,10 +415,8 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
     secondary on one facet and primary on the next. Both would have the same jump: only the node
     that comes first in the mesh file has a multiplier, and the second node is returned. A node that
     is opposite to itself, such as the tip of a crack, has no jump, and is returned. Valid for nodes
-    whose facets are all on this rank.
-
-    Facets overlap as pairs (p, 2) of a secondary and a primary one, `opposite` (q, 2) with
-    exchanged roles.
+    whose facets are all on this rank. Facets overlap as pairs (p, 2) of a secondary and a primary
+    one, `opposite` (q, 2) with exchanged roles.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 

@@ -27,28 +27,23 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.table import Units
 
 #: A residual within rounding is accepted if it is at least this fraction of the residual before it.
-#: (With twice the value, a body that returns to rest takes 100 steps: in each of them its residual
-#: falls by a few percent.)
+#: (With twice the value, a body that returns to rest takes 100 steps.)
 STALLED = 0.5
 
-#: With added stiffness, the residual is relative to at most this multiple of the contact forces, in
-#: the same norm: springs make the energy of u large, and without this limit forces that contact
-#: alone balances stay unbalanced by 1e-4 to 1e-2. (With a fifth of it, a block of rubber that
-#: buckles takes its load in parts; doubled, the imbalance doubles.)
+#: With added stiffness, whose springs make the energy of u large, the residual is relative to at
+#: most this multiple of the contact forces, in the same norm. Without this limit, forces that
+#: contact alone balances stay unbalanced by 1e-4 to 1e-2; doubled, the imbalance doubles.
 BALANCE = 100.0
 
 #: Newton's method may take up to this multiple of `max_iterations` while its error falls fast
-#: enough to reach the accuracy within this larger number of steps. With added stiffness, Newton's
-#: method converges linearly, and more steps cost less than a smaller part of the load.
+#: enough: with added stiffness it converges linearly, and steps cost less than a smaller load.
 MAX_ITERATIONS_FACTOR = 4
 
-#: Stiffness that is added to a tangent which is not positive definite, in the order of trial. Each
-#: entry has the stiffness of springs in the contact, relative to the stiffness of a single node,
-#: and the factor with which the undeformed bodies' stiffness is added. Blocks of rubber that are
-#: compressed by 40 % buckle with springs of 1; springs of 10,000 almost prevent nodes from sliding
-#: that should slide. The least factor that suffices leads away from an unstable equilibrium in the
-#: fewest steps: with 0.1 and 1 only, an arch that a ball pushes through takes 404 steps in place of
-#: 57.
+#: Stiffness that is added to a tangent which is not positive definite, in the order of trial: of
+#: springs in the contact, relative to the stiffness of a single node, and the factor with which the
+#: undeformed bodies' stiffness is added. Blocks of rubber compressed by 40 % buckle with springs of
+#: 1; springs of 10,000 almost prevent sliding. The least factor that suffices takes the fewest
+#: steps: with 0.1 and 1 only, an arch that a ball pushes through takes 404 in place of 57.
 ADDED = (
     *((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0)),
     *((10.0, factor) for factor in (0.01, 0.03, 0.1, 0.3, 1.0)),
@@ -60,9 +55,8 @@ FIRST_SLOW = [proximal > 0.0 for _, proximal in ADDED].index(True)
 
 #: Bodies have snapped if they release more than the first part of the energy that they exchange
 #: with contact or store, whichever is larger, and move more than the second number times as far as
-#: obstacles and prescribed values. (A step in which contact of round bodies begins seems to release
-#: 0.2, since its force is no linear function of the motion; one in which an edge passes from node
-#: to node up to 0.6, which the next step takes back.)
+#: obstacles and prescribed values. (Where an edge passes from node to node a step seems to release
+#: up to 0.6, which the next step takes back.)
 SNAP, FAR = 0.5, 3.0
 
 #: Advice about elements that are unstable since they keep their volume.

@@ -37,9 +37,8 @@ class Limit(NamedTuple):
     largest: float
 
 
-#: Limits of the rotation of a linear body [rad]. A rotation r changes the directions of contact
-#: forces by r, and linear theory strains the turned body by r^2 / 2: at 0.05 rad by 0.1 %, as much
-#: as the yield strain of steel. With doubled limits these errors are two and four times as large.
+#: Limits of the rotation of a linear body [rad]. A rotation r turns contact forces by r, and linear
+#: theory strains the body by r^2 / 2: at 0.05 rad by 0.1 %, as much as the yield strain of steel.
 ROTATION = Limit(0.01, 0.05)
 
 #: Limits of the displacement of a linear body beyond its best-fit rigid motion, relative to the

@@ -27,9 +27,8 @@ StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 
 #: Largest numbers of degrees of freedom of a body, by the dimension of space, for which K is
 #: factored by default for one contact solve; above them multigrid is faster. The cost of factors
-#: grows with the square of the size of each body, not of all bodies together. It hardly depends on
-#: the degree of the displacements. With twice the limit in 3D, solves in between take up to twice
-#: the time.
+#: grows with the square of the size of each body. With twice the limit in 3D, solves in between
+#: take up to twice the time.
 CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
 
