@@ -48,8 +48,7 @@ class TouchingFaces(NamedTuple):
 class Contacts(Tabulated, list[ContactPair]):
     """The list of contact pairs that `contacts` has found; `print` shows their areas and gaps.
 
-    It is changed like any list before it is given to a problem: `del pairs[0]`, or
-    `pairs[0] = dataclasses.replace(pairs[0], friction=Bonded())`.
+    Change it like any list: `pairs[0] = dataclasses.replace(pairs[0], friction=Bonded())`.
 
     Attributes:
         measures: (secondary, primary) tags -> area, gap and overlap.

@@ -43,13 +43,10 @@ def refine(
     """Return a mesh with smaller cells where errors are large, and the same tags. Collective.
 
     In the cells with the largest errors all edges are bisected, and further edges as needed to
-    leave no hanging nodes. (If only the longest edges of tetrahedra are bisected, there are fewer
-    unknowns at the end and twice as many meshes: of the two bricks with degree 2, both together
-    take 1.4 to 1.9 times as long, with degree 1 two thirds of the time.)
-    New cells and facets have the tags of the cells and facets that contain them. The new mesh is
-    partitioned independently of the old mesh, so cells may move to other ranks; it has ghost cells
-    if the old mesh had some. On any number of ranks it is the same up to its numbering. The old
-    mesh is unchanged.
+    leave no hanging nodes. (With the longest edges of tetrahedra alone, two bricks of degree 2 take
+    1.4 to 1.9 times as long.) New cells and facets have the tags of those that contain them. The
+    new mesh is partitioned anew, with ghost cells if the old mesh had some; on any number of ranks
+    it is the same up to its numbering. The old mesh is unchanged.
 
     Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
     this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
@@ -64,9 +61,7 @@ def refine(
             `ContactSolution.cell_errors`, better after `refinement_indicators`; or the values (n,)
             of the cells that this rank owns.
         fraction: part of the sum of squared errors, in (0, 1]: the fewest cells that have this part
-            together are refined. With a small part few cells are cut each time, and there are more
-            meshes to solve on. With 1 all edges of all cells are bisected, which is uniform
-            refinement.
+            together are refined. With 1 all edges of all cells are bisected.
 
     Raises:
         InputError: an argument is wrong, the mesh has cells that cannot be bisected, or the

@@ -1,7 +1,4 @@
-"""Adaptive solution: from a coarse mesh to the requested accuracy.
-
-A mesh is judged and refined by its error: of the energy, or of a goal.
-"""
+"""Adaptive solution: from a coarse mesh to the requested accuracy, of the energy or of a goal."""
 
 from __future__ import annotations
 
@@ -47,8 +44,6 @@ class Level:
 
     Attributes:
         number: number of the mesh; the first is 0.
-        tagged_mesh: the mesh.
-        solution: the solution on the mesh.
         free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
         error: estimate of the mesh's error: in the energy norm, relative to the solution's norm,
             or, with a goal, the relative error of the goal; infinite if unknown. A goal that does
@@ -82,12 +77,10 @@ class Level:
 
 @dataclass(frozen=True)
 class AdaptiveSolution(Tabulated):
-    """The solutions on all meshes, and the reason why no finer mesh followed.
+    """The solutions on all meshes, from coarse to fine, and the reason why no finer mesh followed.
 
     Attributes:
-        status: the reason why no finer mesh followed.
         accuracy: the requested accuracy.
-        levels: all meshes with their solutions, from coarse to fine.
     """
 
     status: AdaptiveStatus
@@ -161,9 +154,8 @@ def judged(
 ) -> Level:
     """Estimate the error of the mesh of a solution; this may solve again. Collective.
 
-    The problem is solved to the default accuracy; the result has a solution that is accurate enough
-    for the goal, or for the energy error. `start` is when work on the mesh began
-    (`time.perf_counter`).
+    The result has a solution that is accurate enough for the goal, or for the energy error. `start`
+    is when work on the mesh began (`time.perf_counter`).
     """
     products, goal_error = solution.products, None
     if goal is not None and solution.status is ContactStatus.CONVERGED:
@@ -202,12 +194,10 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
 
     `solve_adaptively` refines by these errors, and scripts should too.
 
-    Secondary nodes carry the multipliers: between two secondary nodes nothing keeps the primary
-    surface from penetrating and gaping, which causes no strain. If the secondary side is the
-    stiffer one, its own errors are small; if its cells stay coarse for that reason, finer cells on
-    the soft side soon no longer reduce the error. So the squared error of a secondary cell is at
-    least the sum of the squared errors of all opposite cells: secondary cells with many opposite
-    cells are refined first.
+    Between two secondary nodes nothing keeps the primary surface from penetrating and gaping, which
+    causes no strain. If the secondary side is the stiffer one, its own errors are small; if its
+    cells stay coarse, finer cells on the soft side soon no longer reduce the error. So the squared
+    error of a secondary cell is at least the sum of those of all opposite cells.
 
     Args:
         problem: the problem, not yet destroyed.
@@ -277,17 +267,14 @@ def solve_adaptively(
 ) -> AdaptiveSolution:
     """Solve, and refine where errors are large, until the mesh is fine enough. Collective.
 
-    The cells with the largest errors are cut, and the problem is solved on the new mesh, until the
-    estimated error is small enough. On each mesh the iteration ends with an error below the error
-    of the mesh. If the options of the problem request another accuracy, the problem on the last
-    mesh is solved again with these options.
+    On each mesh the iteration ends with an error below the error of the mesh. If the options of the
+    problem request another accuracy, the problem on the last mesh is solved again with these.
 
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,
             conditions and pairs as in an ordinary script. This call destroys the problems.
         tagged_mesh: the first mesh, of triangles or tetrahedra, with the curved surfaces that it
-            knows (see `refine`). It need not be fine anywhere; but
-            gaps and interferences of curved surfaces have an error of about a hundredth of the
+            knows (see `refine`). Gaps of curved surfaces have an error of about a hundredth of the
             distance between the surfaces and their flat facets.
         accuracy: wanted relative error of the displacement in the energy norm, in (0, 1). It is
             judged by an estimate (`ContactSolution.discretisation_error`), not a bound.
@@ -296,8 +283,7 @@ def solve_adaptively(
             for it. The iteration continues until the iteration's part of this error is small, too.
             The patch of a `MeanPressure` or `MeanSlip` needs a contact node on the first mesh.
         fraction: part of the sum of squared errors that the cells to be cut have together; see
-            `refine`. (On two bricks 0.5 and 0.85 took up to 1.2 times as long; with 0.5 there are
-            more meshes, and fewer unknowns on the last one.)
+            `refine`. (On two bricks 0.5 and 0.85 took up to 1.2 times as long.)
         max_dofs: approximate limit for `free_dofs` of a mesh: no problem is made on a larger mesh.
         max_levels: limit for the number of meshes.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this

@@ -100,10 +100,9 @@ class FiniteSliding:
     that are `ALIKE` are used, and where a step crosses a kink and should not have, the next
     configuration lies on the step. Where bodies snap, u(w) = w has an unstable solution, or none:
     residuals u - w grow, and the accelerated step would go against them. Then the step w <- u(w) is
-    taken, which goes on until bodies reach another equilibrium, and earlier configurations are
-    forgotten. If the step leads back to where such a step has led before, bodies do not snap: the
-    equilibrium is stable, though the iteration w <- u(w) is not. (The tip of a snap-fit hook on the
-    round edge of a block, with friction, went in circles for 444 Newton steps; now it takes 27.)
+    taken, until bodies reach another equilibrium, and earlier configurations are forgotten. If it
+    leads back to where such a step has led before, bodies do not snap: the equilibrium is stable,
+    though the iteration w <- u(w) is not, as for the tip of a snap-fit hook on a round edge.
 
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last

@@ -1,9 +1,5 @@
 """Numbers computed from a solution, their errors, and derivatives of solutions.
 
-A goal is a number such as a force. The gradient of a goal with respect to all controls is one
-adjoint solve, multiplied with the changes of the data by each control. The tangent, which is the
-change of all fields in one direction of the controls, is one solve with the change of the data.
-
 The error of a goal is a(u - u_h, z - z_h) with the adjoint z (Becker and Rannacher, An optimal
 control approach to a posteriori error estimation in finite element methods, 2001), plus a term from
 nodes that change their state, which is not estimated. This term is of order h^2 for elements of any
@@ -147,7 +143,6 @@ class GoalError:
     """The value of a goal in a solution, and an estimate of its discretisation error.
 
     Attributes:
-        goal: the goal.
         value: value of the goal in the solution [unit of the goal].
         error: estimate of the discretisation error of the value [same unit]: the absolute value of
             `signed_error` and, as its uncertainty, `DOUBT` times the sum of the squares of
@@ -187,10 +182,9 @@ class GoalError:
     def corrected_value(self) -> float:
         """The value, corrected by the smallest error that agrees with the estimate.
 
-        The correction has the sign of `signed_error`. Its size is |signed_error| minus the
-        uncertainty of `signed_error`, or zero if the uncertainty is larger. Where the
-        corrected value differed from `value` it was more accurate on 198 of 204 meshes
-        (benchmarks/README.md, "Measured once"). `error` refers to `value`.
+        Its correction is `signed_error`, less the uncertainty of this, or zero. Where it differed
+        from `value` it was more accurate on 198 of 204 meshes (benchmarks/README.md, "Measured
+        once"). `error` refers to `value`.
         """
         least = max(2.0 * abs(self.signed_error) - self.error, 0.0)
         return self.value + math.copysign(least, self.signed_error)
@@ -391,8 +385,6 @@ class SurfaceTangent:
     The units are those of the fields, since a direction is a change of the controls in their units.
 
     Attributes:
-        name: name of the pair.
-        mesh: the mesh of the surface.
         pressure: change of the contact pressure [stress].
         gap: change of the gap [length], zero at pressed nodes.
         traction: change of the tangential traction [stress]; None without friction.
@@ -414,8 +406,6 @@ class SurfaceTangent:
 @dataclass(frozen=True)
 class ContactTangent:
     """The change of a solution along a direction of the controls, to first order.
-
-    `ContactProblem.tangent` returns this object.
 
     Attributes:
         u: change of the displacement [length].

@@ -145,13 +145,9 @@ class ProcessTape:
         """Return the derivatives of a sum of goals with respect to controls. Collective.
 
         The values of controls are taken to be the same in all steps: the result is the sum of
-        `gradient_by_step` over the steps. The derivatives are exact for the discrete problem, with
-        each node held in the contact state that it has in each step. Solve accurately, with
-        `solve(rtol=1e-8)`, since derivatives are evaluated at the computed solutions. The cost is
-        one adjoint solve for each step up to the last step with a goal, however many goals and
-        controls there are.
-
-        The slip at which recording begins counts as independent of the controls.
+        `gradient_by_step` over the steps, for one adjoint solve for each step up to the last one
+        with a goal. As for `ContactProblem.gradient`, solve accurately. The slip at which recording
+        begins counts as independent of the controls.
 
         Args:
             goals: number of a recorded step, from 0 on -> a goal of `ContactProblem.gradient`, or a
@@ -169,7 +165,8 @@ class ProcessTape:
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
-        columns = zip([0.0] * len(controls), *self._derivatives(goals, controls), strict=True)
+        by_step = self._derivatives(goals, controls)  # checks the controls first
+        columns = zip([0.0] * len(controls), *by_step, strict=True)
         return as_derivatives([sum(column) for column in columns], controls, self.comm)
 
     @collective(comm_of_self)
@@ -179,20 +176,11 @@ class ProcessTape:
         """Return the derivatives of goals with respect to controls in each step. Collective.
 
         This is for controls that change from step to step, such as loads and prescribed
-        displacements. The cost is the same as for `gradient`.
-
-        Args:
-            goals: see `gradient`.
-            controls: see `gradient`.
+        displacements. For arguments, cost and errors see `gradient`.
 
         Returns:
             for each recorded step a list like the result of `gradient`, but with respect to the
             values in this step alone. The derivatives are zero after the last step with a goal.
-
-        Raises:
-            ContactError: see `gradient`.
-            InputError: see `gradient`.
-            ConvergenceError: see `gradient`.
         """
         return [
             as_derivatives(derivatives, controls, self.comm, f" in step {number}")

@@ -67,8 +67,8 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
    asked for, and returns a `ContactSolution`. `ContactSystem.checked` changes its status if it has
    left linear theory. `print(solution)` shows its rows.
 
-For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with the
-bounds that were found. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6
+For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
+bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6
 and the first sentence of step 7. `accept` (room `problem`) makes the tractions, slips and places of
 obstacles of a solution those from which the next load step begins (`StepState.after_solution`).
 

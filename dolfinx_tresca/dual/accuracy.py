@@ -227,14 +227,12 @@ class DiscretisationError:
     an edge would depend on that edge alone, and the difference would be zero on the boundary, which
     has singular edges.
 
-    The estimate was 0.7 to 1.5 times the error on scenes with singular edges and Poisson's ratios
-    of up to 0.49 (benchmarks/README.md, "Measured once"). It is not a bound. For Poisson's ratios
-    closer to 0.5, cells lock: the error spreads from its origin, and is larger compared with the
-    estimate. At the corners of inclusions that are 1000 times stiffer than the rest, the estimate
-    is up to 1.7 times the error for degree 2. If the material inside a body changes abruptly, the
-    true gradient jumps too: each material then has means of its own, for up to `MOST_MATERIALS`
-    materials. If the material varies from cell to cell without gaps between the stiffnesses, the
-    estimate is too large.
+    The estimate, which is no bound, was 0.7 to 1.5 times the error on scenes with singular edges
+    and Poisson's ratios of up to 0.49 (benchmarks/README.md, "Measured once"); closer to 0.5, cells
+    lock, and the error is larger compared with it. If the material inside a body changes abruptly,
+    the true gradient jumps too: each material then has means of its own, for up to `MOST_MATERIALS`
+    materials. If it varies from cell to cell without gaps between the stiffnesses, the estimate is
+    too large.
 
     For degree 2, the gradient differs from the true gradient by c h^2 P_2(x), with a factor c, the
     size h of the cell, and Legendre's polynomial P_2 of the position x in the cell. This difference
@@ -246,9 +244,7 @@ class DiscretisationError:
     contact areas have no such symmetry.
 
     In bodies of revolution, the error of the hoop strain u_r / r counts as zero: it is of higher
-    order than the error of the gradient, except in the cells at the axis. A mean of u_r / r would
-    be less accurate than u_r / r itself: for quadrilaterals of degree 2, this mean would make the
-    estimate 1.5 times the error, in place of 1.0.
+    order than the error of the gradient, except in the cells at the axis.
 
     Penetration between the few nodes of a stiff secondary surface causes no strain and is not
     estimated. It is large only if the soft side alone is refined, which `adapt/solve.py`

@@ -182,13 +182,11 @@ class NearField(PetscOwner):
     """The approximation D = B S B' <= A, where S <= K^-1 approximates K^-1 near the contact.
 
     Effects of tractions that oscillate between nodes decay within a few cells: nodes further away
-    may be clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped preconditioner
-    clamps all nodes except interface nodes, and the Dirichlet preconditioner clamps none: Farhat,
-    Mandel and Roux 1994.) Further away, the effect of tractions is smooth: with multigrid, a coarse
-    level in S represents most of this effect, and a few products with A represent the rest; without
-    multigrid, products with A represent all of this effect. On two bricks (N = 10), 0.02 A <= D
-    without the coarse level, and 0.4 A <= D with it; without it, contact solves of two bricks take
-    1.3 to 1.8 times the Krylov iterations.
+    may be clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped one clamps all
+    nodes except interface nodes, and the Dirichlet preconditioner none: Farhat, Mandel and Roux
+    1994.) Further away, the effect of tractions is smooth: products with A represent it, and with
+    multigrid a coarse level in S most of it: on two bricks (N = 10) 0.4 A <= D in place of 0.02 A,
+    and without it contact solves take 1.3 to 1.8 times the Krylov iterations.
 
     S solves a local system, with K on the degrees of freedom near the contact while all others are
     clamped, twice. Between the two solves, a system on a coarse level of multigrid is solved. The

@@ -9,8 +9,7 @@ A picture is a figure of matplotlib with a *panel* for the bodies and one for ea
 renders the *views* of bodies and surfaces, matplotlib draws all text and the chart of a contact
 curve of 2D. A `Contact` is a surface gathered for its panel.
 
-A table is a list of `Row`s, names and values, which `print` and notebooks show. A report is tables
-and the picture on one page, with the versions of all software.
+A table is a list of `Row`s, names and values. A report is tables and the picture on one page.
 
 Read first: `files.SolutionWriter`, `files.gather_grid`, `plot.compose`.
 """

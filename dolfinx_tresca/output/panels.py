@@ -273,12 +273,10 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
 
 
 def skin(grid: Any) -> Any:
-    """Return the outer faces of a grid; faces of degree 2 are cut into pieces of half the length.
-
-    `extract_surface` of newer pyvista requires an argument that older versions do not have.
-    """
+    """Return the outer faces of a grid, those of degree 2 cut into pieces of half the length."""
     import pyvista
 
+    # `extract_surface` of newer pyvista requires an argument that older versions do not have
     surface = import_module("vtkmodules.vtkFiltersGeometry").vtkDataSetSurfaceFilter()
     surface.SetInputData(grid)
     surface.Update()

@@ -49,33 +49,26 @@ def plot(
 ) -> Any:
     """Draw the deformed bodies, and beside them each contact surface.
 
-    The bodies are drawn with the magnified displacement u. Colours show the length of u, lines the
-    undeformed edges. Rigid obstacles near the bodies are drawn, too; in 3D their sides that are
-    seen from within are transparent, so that they do not hide the bodies. The magnification that
-    `panels.magnification` chooses is so small that surfaces which have met, and the sides of an
-    initial overlap, also touch in the picture.
+    Collective. The bodies are drawn with the magnified displacement u. Colours show the length of
+    u, lines the undeformed edges. Rigid obstacles near the bodies are drawn, too, in 3D transparent
+    where they would hide the bodies. The magnification that `panels.magnification` chooses is so
+    small that surfaces which have met, and the sides of an initial overlap, touch in the picture.
 
-    Contact surfaces in 3D are drawn without the facets that face nothing. They are seen along their
-    mean normal; closed ones, like holes and shafts, obliquely from outside, so that their far side
-    is hidden (`to_pyvista` returns the data for other views). Colours show the pressure, and arrows
-    the slip of the secondary side against the primary side (after an accepted load step the slip of
-    the new step). Black discs mark nodes that stick; open parts are grey.
+    Contact surfaces in 3D are drawn without the facets that face nothing, seen along their mean
+    normal; closed ones, like holes and shafts, obliquely from outside (`to_pyvista` returns the
+    data for other views). Colours show the pressure, and arrows the slip of the secondary side
+    against the primary side (after an accepted load step the slip of the new step). Black discs
+    mark nodes that stick; open parts are grey.
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
     its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
     where it is open. Its start is marked by a dot and, with several pairs, by the number of the
-    pair; a closed curve runs counterclockwise. Without friction there are no arrows, marks,
-    tractions and slips.
+    pair; a closed curve runs counterclockwise.
 
     Colours begin at zero unless all values are far from zero. If a few values are much larger than
-    the others, the range of colours ends below these, and the colour bar has an arrow and the
-    largest value.
-
-    The first rank needs pyvista and matplotlib, but no display. In `.svg` and `.pdf` files the
-    text, the bars and the charts are vectors, and the views of bodies and surfaces are images of
-    200 dots per inch.
-
-    Collective.
+    the others, the colours end below these, and the bar has an arrow and the largest value. The
+    first rank needs pyvista and matplotlib, but no display. In `.svg` and `.pdf` files views of
+    bodies and surfaces are images of 200 dots per inch, all else is vectors.
 
     Args:
         path: `.png`, `.jpg`, `.tif`, `.svg` or `.pdf`; the first rank's path counts. None: nothing

@@ -57,8 +57,7 @@ TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 def contact_normals(own: Array, partner: Array, own_turn: Array, partner_turn: Array) -> Array:
     """Return the contact normals (..., 3) at points of the secondary side.
 
-    They follow from the outward unit normals (..., 3) of both sides, and the angles (...) by which
-    normals turn over facets of each side there [rad].
+    The outward unit normals (..., 3) of both sides turn over facets by angles (...) [rad].
     """
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[..., None]  # of the own normal
@@ -279,9 +278,8 @@ def _rim_nodes(nodes: SurfaceNodes) -> Mask:
 def fitted_normals(nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
-    The mean of the facets' normals is exact on a sphere; on a cylinder with facets of different
-    shapes its error is a fixed part of the angle between facets, and the relative error of heights
-    does not vanish as the mesh is refined. A least-squares fit has no such error (Cazals and Pouget
+    On a cylinder with facets of different shapes, the error of the mean of the facets' normals is a
+    fixed part of the angle between facets. A least-squares fit has no such error (Cazals and Pouget
     2005, Estimating differential quantities using polynomial fitting of osculating jets). With too
     few neighbours the mean is kept. Valid at nodes whose facets are all on this rank.
     """

@@ -144,9 +144,8 @@ class ContactOperators:
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
 
-        The areas are `weights` on the secondary side, and the mortar transfer of `weights` on the
-        primary side; both sides have the same total area. The Function is a scalar of degree 1 on
-        the mesh of the displacement.
+        The areas are `weights` on the secondary side, and their transfer on the primary side, with
+        the same sum. The Function is a scalar of degree 1 on the mesh of the displacement.
         """
         Q = fem.functionspace(self._V.mesh, ("Lagrange", 1))
         weights = self._pair.weights[:, None]
@@ -191,11 +190,10 @@ class ContactOperators:
     ) -> fem.Function:
         """Transfer a field from one side to the other; the result is zero elsewhere. Collective.
 
-        The transfer to the secondary side is the mortar projection, which is exact for linear
-        functions: it serves primal fields whose jump is needed, such as temperatures. The transfer
-        to the primary side is for densities, such as a pressure or flux: it is exact for constants
-        and conserves the sum of values times `areas`. This sum is the integral over the primary
-        facets only if the secondary side covers all primary facets.
+        The transfer to the secondary side, exact for linear functions, serves primal fields such as
+        temperatures. The transfer to the primary side is for densities, such as a pressure or flux:
+        it is exact for constants and conserves the sum of values times `areas`, which is the
+        integral over the primary facets only if the secondary side covers all of them.
 
         Args:
             function: a scalar or vector of Lagrange elements of degree 1 on the mesh of the

@@ -109,13 +109,11 @@ class MortarIntegrals(FacetIntegrals):
     ) -> None:
         """Integrate over the overlaps of facets.
 
-        In an assembly the normal of a facet meets facets of many bodies, one behind the other. So
-        facets of a surface that touches itself are first paired with facets nearby. Only those that
-        nearby facets do not fully cover are paired with all facets within the search distance.
-
-        Only the `selected` (m,) secondary facets are integrated over. Points beyond `limit`
-        [length], and facets (p,) for which `may_meet` is false, are not paired. On a surface that
-        touches itself, `order` decides which facet is secondary.
+        Facets of a surface that touches itself are first paired with facets nearby, and only those
+        that these do not fully cover with all facets within the search distance. Only the
+        `selected` (m,) secondary facets are integrated over. Points beyond `limit` [length], and
+        facets (p,) for which `may_meet` is false, are not paired. On a surface that touches itself,
+        `order` decides which facet is secondary.
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
@@ -398,14 +396,12 @@ def _see_between_nodes(
 ) -> Indices:
     """Take means around the nearest points of an obstacle that the mesh does not resolve.
 
-    An obstacle that is smaller than a facet may touch it between nodes, where the distances at
-    nodes do not tell of it. Gap, contact normal and displacement of a node are then means over the
-    facets around it: with its hat function times exp(-(g - least) / height) as weight, where g is
-    the distance and `least` its least value on these facets. So the force acts where the obstacle
-    touches, and moments are balanced. The height is a part (`SEEN_HEIGHT`) of the height of the
-    obstacle over the corners of a facet whose middle it touches: with the nearest point alone,
-    bodies are too stiff, and the mean over whole facets is positive though the obstacle enters
-    them.
+    An obstacle that is smaller than a facet may touch it between nodes. Gap, contact normal and
+    displacement of a node are then means over the facets around it, with its hat function times
+    exp(-(g - least) / height) as weight, where g is the distance and `least` its least value on
+    these facets. So the force acts where the obstacle touches, and moments are balanced. The height
+    is a part (`SEEN_HEIGHT`) of the height of the obstacle over the corners of a facet whose middle
+    it touches: with the nearest point alone, bodies are too stiff.
 
     `turns` (n,) is the angle by which the obstacle's normal turns over each facet [rad], zero for
     facets that do not face it. The integrals change in place over the facets (m,) that are

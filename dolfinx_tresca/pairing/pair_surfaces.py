@@ -157,9 +157,8 @@ def _surface_nodes(
     """Return the nodes of the facets on a side that this rank pairs. Collective.
 
     The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
-    there. Coincident nodes have the same coordinates and are sent to the same rank, which counts
-    them. Nodes that also belong to facets with other tags, such as coincident corners of adjacent
-    bricks, and surfaces that touch themselves, are not checked.
+    there. They are sent to the same rank, which counts them. Nodes that also belong to facets with
+    other tags, such as corners of adjacent bricks, and surfaces that touch themselves are left out.
     """
     comm = V.mesh.comm
     with errors_on_all_ranks(comm):

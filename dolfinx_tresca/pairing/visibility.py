@@ -1,11 +1,9 @@
 """Which facets may meet: overlaps, the nearest of several layers, what a body hides, self-contact.
 
-The facets of a surface that touches itself may belong to many bodies, and parts of one body may
-touch each other. Each facet sees other facets along its normal, as in a pair of two surfaces. A
-point where two facets meet is seen from both facets, but must be constrained only once. So an order
-of the facets (`SelfContact`) decides which of two facets is secondary. This order depends on the
-undeformed mesh only: the roles are the same in all configurations of finite sliding, and on any
-number of ranks.
+On a surface that touches itself, a point where two facets meet is seen from both, but must be
+constrained only once. So an order of the facets (`SelfContact`) decides which of two is secondary.
+It depends on the undeformed mesh only: the roles are the same in all configurations of finite
+sliding, and on any number of ranks.
 """
 
 from __future__ import annotations
@@ -340,13 +338,12 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of two bodies may. Those of one body may not if they are neighbours, or the two faces
-        of a wall.
-        Neighbours share a corner and do not face each other in the undeformed mesh; the two lips of
-        a crack also share corners at its tip, but face each other. Two facets are the faces of a
-        wall if each is behind the other, deeper than facets of curved surfaces penetrate each other
-        (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper than touching
-        lips (`NEGLIGIBLE`), both in the undeformed mesh and in the present configuration, whose
-        depth must also exceed `WALL_PART` of the undeformed one.
+        of a wall. Neighbours share a corner and do not face each other in the undeformed mesh; the
+        two lips of a crack also share corners at its tip, but face each other. Two facets are the
+        faces of a wall if each is behind the other, deeper than facets of curved surfaces penetrate
+        each other (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper
+        than touching lips (`NEGLIGIBLE`), both in the undeformed mesh and in the present
+        configuration, whose depth must also exceed `WALL_PART` of the undeformed one.
         """
         f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))

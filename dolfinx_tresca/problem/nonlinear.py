@@ -37,13 +37,10 @@ OF_LINEAR_BODIES = ("energy error", "energy")
 
 @dataclass(frozen=True, repr=False)
 class NonlinearContactSolution(ContactSolution):
-    """A `ContactSolution` of nonlinear bodies: the last Newton step, and the record of all steps.
+    """A `ContactSolution` of nonlinear bodies: the last Newton step, and `newton`, the record.
 
     Iterations, products and seconds are sums over all Newton steps. Energies and errors belong to
     the quadratic problem of the last step, and the norm |u|_K is that of this step's tangent K.
-
-    Attributes:
-        newton: record of Newton's method.
     """
 
     newton: NewtonRecord
@@ -91,11 +88,7 @@ class NonlinearContactProblem(ContactProcess):
     which do not change the solution.
 
     A solve starts at the present u. In a process with Coulomb friction, a solve after a solution
-    that was not accepted starts at the u of the last accepted step, unless u was changed in
-    between.
-
-    With small sliding, the default, nodes keep their partners and normals until `update_geometry`
-    is called; pairs with `sliding="finite"` are paired in the configuration of the solution.
+    that was not accepted starts at the u of the last accepted step, unless u was changed.
 
     Materials with a history, such as plastic ones, are described by two functions of the user.
     `before_assembly()` computes the stress and its tangent from the present u and the history, and
@@ -103,7 +96,7 @@ class NonlinearContactProblem(ContactProcess):
     is assembled. `on_accept()` makes the state at u the history; only `accept()` calls it. So a
     failed part of a load, or a trial solve, leaves the history unchanged.
 
-    A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager.
+    For `pairs`, `options`, `units` and `destroy()` see `ContactProblem`.
 
     Example:
         The cube of `ContactProblem`, made of rubber and compressed to 60 % of its height:
@@ -123,9 +116,6 @@ class NonlinearContactProblem(ContactProcess):
 
     Attributes:
         u: the displacement [length], or all unknowns of a mixed space.
-        pairs: surfaces that may touch.
-        units: names of the units of length and stress; None: no units are shown.
-        options: options of the contact algorithm.
         newton: options of Newton's method.
     """
 
@@ -177,13 +167,11 @@ class NonlinearContactProblem(ContactProcess):
             newton: options of Newton's method.
             stiffness: how to solve with the tangent; see `ContactProblem`.
             petsc_options: options of the solver for the tangent.
-            petsc_options_prefix: prefix of the options that the command line gives to this solver.
-            units: names of the units of length and stress, for tables and pictures.
-            entity_maps: needed if forms contain Functions on surface meshes; see `ContactProblem`.
-            axisymmetric: whether the mesh is the meridian of bodies of revolution; see
-                `ContactProblem`.
-            V: the sub-space of the displacement, such as W.sub(0), in a mixed space W with several
-                vector components.
+            petsc_options_prefix: see `ContactProblem`, as for the following arguments.
+            units: names of the units of length and stress.
+            entity_maps: needed if forms contain Functions on surface meshes.
+            axisymmetric: whether the mesh is the meridian of bodies of revolution.
+            V: the sub-space of the displacement in a mixed space with several vector components.
 
         Raises:
             InputError: an argument is wrong.

@@ -61,9 +61,6 @@ class ContactProcess(PetscOwner, Tabulated):
     """A contact problem with a process, a sequence of load steps: solves, steps, state files.
 
     Attributes:
-        pairs: the surfaces that may touch.
-        options: options of the contact algorithm for the solves that follow.
-        units: names of the units of length and stress; None: no units are shown.
         comm: the communicator of the mesh.
         mesh: the mesh of all bodies.
         prescribed: (owned degrees of freedom,) True where `bcs` prescribe the value: contact forces
@@ -90,15 +87,12 @@ class ContactProcess(PetscOwner, Tabulated):
 
     @property
     def free_dofs(self) -> int:
-        """The number n of displacement unknowns on all ranks. Not collective.
-
-        Prescribed degrees of freedom are not counted.
-        """
+        """The number of displacements that are not prescribed, on all ranks. Not collective."""
         return self._contact.summary.free_dofs
 
     @property
     def contact_nodes(self) -> int:
-        """The number m of nodes with multipliers, of all pairs on all ranks. Not collective."""
+        """The number of nodes with multipliers, of all pairs on all ranks. Not collective."""
         return self._contact.summary.contact_nodes
 
     @property
@@ -148,15 +142,11 @@ class ContactProcess(PetscOwner, Tabulated):
     def accept(self, *, unconverged: bool = False) -> None:
         """Make the last solution a load step, from which the slip of later solutions counts.
 
-        Friction dissipates energy, so the result depends on all previous loads, not only on the
-        last load. After this call, each `solve()` minimises
-        1/2 u'K u - f'u + sum of g |T u - s|, where s is the slip T u of the last accepted step. A
-        solution that is not accepted leaves no trace: try another load instead. If slip bounds
-        depend on the pressure, a solution may depend on where the solve starts; so each solve after
-        the first accepted step starts at the last accepted step. Nodes that stick keep their s, and
-        do not take the computed T u, so that residuals do not add up from step to step.
-
-        Collective.
+        Collective. After this call, each `solve()` minimises 1/2 u'K u - f'u + sum of g |T u - s|,
+        where s is the slip T u of the last accepted step. A solution that is not accepted leaves no
+        trace: try another load instead. If slip bounds depend on the pressure, a solution may
+        depend on where the solve starts; so each solve after the first accepted step starts there.
+        Nodes that stick keep their s, so that residuals do not add up from step to step.
 
         Args:
             unconverged: whether to accept a solution that missed the requested accuracy, or has
@@ -179,15 +169,14 @@ class ContactProcess(PetscOwner, Tabulated):
         """Pair the surfaces in the configuration displaced by u. Collective.
 
         With small sliding, nodes keep their normals and their partners on the other side. After
-        this call, normals and partners are those in the configuration displaced by u, the gap at a
-        later displacement v is d - N (v - u) with the distance d of the displaced surfaces, and
-        stresses are forces divided by displaced areas. With `sliding="finite"`, each solve pairs
-        the surfaces in the configuration of its solution automatically. For an iteration of your
-        own, repeat `solve` and `update_geometry` within a load step until the forces do not change
-        any more, and then accept the step; with one call per step, the normals lag one step behind.
-        If u is the displacement of the last solve, the load step stays the same, and the next solve
-        starts from the last tractions. Slip, accepted steps and multipliers are kept, and K is not
-        factored again; products with A are dropped, since A changes. Bonded pairs do not change.
+        this call, these are those in the configuration displaced by u, the gap at a later
+        displacement v is d - N (v - u) with the distance d of the displaced surfaces, and stresses
+        are forces divided by displaced areas. `sliding="finite"` does this in each solve. For an
+        iteration of your own, repeat `solve` and `update_geometry` within a load step until the
+        forces do not change any more, and then accept the step; with one call per step, the normals
+        lag one step behind. If u is the displacement of the last solve, the next solve starts from
+        the last tractions. Slip, accepted steps and multipliers are kept; products with A are
+        dropped, since A changes. Bonded pairs do not change.
 
         Args:
             u: displacement [length] in the problem's space; None: the displacement of the last
@@ -213,8 +202,7 @@ class ContactProcess(PetscOwner, Tabulated):
     def set_slip_origin(self, u: fem.Function | None) -> None:
         """Begin load steps at a displacement u: the slip of later solutions counts from T u.
 
-        Use this call to continue after a restart, or from a state that another program computed.
-        Collective.
+        This continues from a state that another program computed. Collective.
 
         Args:
             u: displacement [length] in the problem's space; None: the slip counts from the
@@ -238,9 +226,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def continue_from(self, solution: ContactSolution) -> None:
         """Continue from a load step on another mesh, as after `accept()`. Collective.
 
-        Slip counts from the solution's slip, which is interpolated, and the solution's dissipation
-        is added to later dissipation. For nonlinear bodies, this call does not change u:
-        interpolate u, too.
+        Slip counts from the solution's slip, which is interpolated; its dissipation is added to
+        later dissipation. For nonlinear bodies interpolate u, too.
 
         Args:
             solution: a solution with the same number of pairs. Each point of a surface takes the
@@ -282,10 +269,8 @@ class ContactProcess(PetscOwner, Tabulated):
         """Write the state of the process to a file, for `load_state` in another run. Collective.
 
         The file holds the multipliers, the slip and the dissipation of the accepted steps, the
-        displacement u of nonlinear bodies, and the displacement of the last `update_geometry`. It
-        holds neither loads nor products with A: the first solve after a restart costs as many
-        products as the first solve of a new problem. An interrupted write leaves the previous file
-        unchanged.
+        displacement u of nonlinear bodies, and the displacement of the last `update_geometry`, but
+        neither loads nor products with A. An interrupted write leaves the previous file unchanged.
 
         Args:
             path: path of the file; the first rank's value counts.
@@ -377,11 +362,10 @@ class ContactProcess(PetscOwner, Tabulated):
         """Return the derivatives of a goal of the last solution with respect to controls.
 
         Collective. The derivatives are exact for the discrete problem, with each node held in its
-        contact state. Where nodes are about to change their state, the derivatives are one-sided;
-        the log and `NodeCounts.undecided` give the number of such nodes. All derivatives together
-        cost one adjoint solve, about ten products with A, however many controls there are; for
-        nonlinear bodies, they cost one Newton step in addition. Solve accurately, with
-        `solve(rtol=1e-8)`, since derivatives are evaluated at the computed solution.
+        contact state; where nodes are about to change it (`NodeCounts.undecided`, which is logged),
+        they are one-sided. All together cost one adjoint solve, about ten products with A, and for
+        nonlinear bodies one Newton step. Solve accurately, with `solve(rtol=1e-8)`, since
+        derivatives are evaluated at the computed solution.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`;
@@ -418,10 +402,8 @@ class ContactProcess(PetscOwner, Tabulated):
     ) -> ContactTangent:
         """Return the derivative of the last solution in a direction of controls. Collective.
 
-        This is the forward derivative: the first-order change of all fields, with each node held in
-        its contact state. One direction costs about ten products with A, and gives the changes of
-        all goals. The backward derivative, `gradient`, gives the changes of one goal in all
-        directions.
+        This is the first-order change of all fields and goals, with each node held in its contact
+        state, for about ten products with A; `gradient` gives one goal's change in all directions.
 
         Args:
             controls: see `gradient`.

@@ -238,10 +238,9 @@ class RigidObstacle:
     ) -> None:
         """Move the obstacle by a rotation, then a translation, from its original place.
 
-        Not collective. The motion starts from where the obstacle was created, not from where it is
-        now. The next `solve()` pairs the surfaces again if necessary, and the slip includes the
-        motion since the last accepted step: a turning wheel drives the body that it touches. The
-        motion must be equal on all ranks.
+        Not collective; the motion, from where the obstacle was created, must be equal on all ranks.
+        The next `solve()` pairs the surfaces again if necessary, and the slip includes the motion
+        since the last accepted step: a turning wheel drives the body that it touches.
 
         Args:
             translation: vector of 2 or 3 components [length].
@@ -315,8 +314,7 @@ class RigidObstacle:
     def distance(self, points: Array) -> Array:
         """Return signed distances (n,) of points (n, 3) [length], for pictures. Not collective.
 
-        Points may be outside the domain of the function, so the result is not checked: values that
-        are not finite are replaced by the largest finite distance.
+        They may be outside the domain of the function: the largest replaces what is not finite.
         """
         with np.errstate(all="ignore"):
             returned = self.signed_distance(self.motion.reversed_from(points.T))
@@ -326,8 +324,6 @@ class RigidObstacle:
 
     def at(self, points: Array) -> tuple[Array, Array]:
         """Return signed distances (n,) [length] and unit normals (n, 3) at points (n, 3).
-
-        Not collective.
 
         Raises:
             InputError: the function returns other shapes, values that are not finite, or normals

@@ -315,10 +315,9 @@ class MeanPressure(_OnPair):
     """Mean contact pressure around a point [stress], with the weight (1 - r^2/R^2)^2.
 
     The weight is smooth because the pressure at a point, or its mean over a patch with a sharp
-    edge, has no adjoint solution of finite energy, so that no error estimate would converge. For
-    the peak of a bounded pressure choose a patch so small that the mean is as close to the peak as
-    required. At the edge of a rigid or stiffer body the pressure is unbounded: the mean depends on
-    the radius, however fine the mesh.
+    edge, has no adjoint of finite energy, and no error estimate would converge. For the peak of a
+    bounded pressure choose a small patch. At the edge of a rigid or stiffer body the pressure is
+    unbounded: the mean depends on the radius, however fine the mesh.
 
     Attributes:
         point: (d,) centre of the patch [length], on the secondary side or near it.
@@ -367,8 +366,7 @@ class MeanSlip(_OnPair):
 class PressureNorm(_OnPair):
     """Norm of the contact pressure in L^m, (integral of p^m)^(1/m) [stress area^(1/m)].
 
-    The norm is a smooth measure of the peak: the larger m is, the more the largest pressures count.
-    For a given force the norm is smallest if the pressure is uniform.
+    The norm is a smooth measure of the peak, for a given force smallest if pressure is uniform.
 
     Attributes:
         exponent: m, at least 1; the norm for m = 1 is the normal force.

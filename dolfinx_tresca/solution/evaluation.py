@@ -278,7 +278,7 @@ def node_values(
     Args:
         dual: the dual problem.
         normal: positions of the normal multipliers.
-        moved: feasible set at each node's local minimiser, see `DualProgram.local_minimiser`.
+        moved: feasible set at each node's `DualProgram.local_minimiser`.
         target: (size,) the minimisers.
         moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
         limit: change of its traction up to which a node's state is undecided [stress].

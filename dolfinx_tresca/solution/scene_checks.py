@@ -281,13 +281,8 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     With such bounds there may be several solutions. A decrease with the slip is harmless if its
     rate is less than 1 divided by the largest eigenvalue of A, both at the present slip and on
     average from zero to it: this is the least traction that elastic bodies need for one more unit
-    of slip.
-
-    Args:
-        comm: the communicator.
-        cones: friction cones whose bounds F(p, v) p are evaluated at the slips of a solution.
-        x: (size,) multipliers of the solution.
-        compliance: the largest eigenvalue of A, or a lower bound.
+    of slip. The cones have the bounds F(p, v) p at the slips of a solution, with multipliers x
+    (size,), and `compliance` is this eigenvalue, or a lower bound.
     """
     section = cones.section(x)
     face = section.face(2.0 * x)  # nodes on their circles slip
