@@ -34,6 +34,11 @@ def owned_values(u: fem.Function) -> Array:
     return np.asarray(u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local])
 
 
+def owned_size(function: fem.Function) -> int:
+    """Return the number of values of a Function that this rank owns. Not collective."""
+    return int(function.x.index_map.size_local * function.x.block_size)
+
+
 def with_owned_values(V: Any, values: Array, name: str | None = None) -> fem.Function:
     """Return the Function on V with values (n, d) or (n d,) at the rank's own nodes. Collective."""
     result = fem.Function(V, name=name)
@@ -51,14 +56,14 @@ def assembled(form: ufl.Form, space: Any, entity_maps: EntityMaps | None = None)
     return result
 
 
-def entities_per_cell(V: Any, dim: int) -> int:
-    """Return the number of entities of a dimension in each cell of V's mesh. Not collective."""
-    return len(basix.topology(V.element.basix_element.cell_type)[dim])
+def vertex_count(V: Any) -> int:
+    """Return the number of vertices of each cell of V's mesh. Not collective."""
+    return len(basix.topology(V.element.basix_element.cell_type)[0])
 
 
 def nodes_of_vertices(V: Any) -> LocalNumbers:
     """Return for each geometry node at a vertex the node of V there, and 0 for others."""
-    vertices = entities_per_cell(V, 0)
+    vertices = vertex_count(V)
     nodes = np.zeros(len(V.mesh.geometry.x), dtype=np.int32)
     nodes[geometry_dofmap(V.mesh)[:, :vertices]] = V.dofmap.list[:, :vertices]
     return nodes
@@ -69,7 +74,7 @@ def numbers_in_file(V: Any) -> GlobalNumbers:
 
     If the mesh was not refined, the numbers depend neither on the degree of V nor on the partition.
     """
-    index_map, vertices = V.dofmap.index_map, entities_per_cell(V, 0)
+    index_map, vertices = V.dofmap.index_map, vertex_count(V)
     numbers = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
     in_file = np.asarray(V.mesh.geometry.input_global_indices)
     numbers[V.dofmap.list[:, :vertices]] = in_file[geometry_dofmap(V.mesh)[:, :vertices]]

@@ -25,13 +25,7 @@ from dolfinx_tresca.dual.load_steps import SlipHistory, moved_jump
 from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
-from dolfinx_tresca.errors import (
-    ContactError,
-    InputError,
-    MechanismError,
-    PairingError,
-    StiffnessError,
-)
+from dolfinx_tresca.errors import ContactError, InputError, MechanismError, PairingError
 from dolfinx_tresca.floating.held_stiffness import HeldStiffness
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
@@ -325,14 +319,8 @@ class ContactSystem(PetscOwner):
         self.compliance.destroy()
         self.compliance = self._factored()
         frames = BodyFrames.at_rest(self.linear, self.bodies, self.pairs)
-        if self.jump.frames is not None and (
-            frames is None or (frames.has_frame != self.jump.frames.has_frame).any()
-        ):
-            raise StiffnessError(
-                "bodies have turned in their frames, and the new K resists the rigid motions of "
-                "one of them, as springs do that refer to a place in space. Have such springs in a "
-                "from the start: the body then has no frame."
-            )
+        if self.jump.frames is not None:
+            self.jump.frames.check_kept(frames)
         self.frames_at_rest = frames
 
     def solution_for(self, purpose: str) -> StepSolution:

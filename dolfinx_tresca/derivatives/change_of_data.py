@@ -31,6 +31,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import check_type
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.functions import owned_size
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
@@ -401,8 +402,3 @@ def inputs_of_problem(system: ContactSystem) -> list[Any]:
 def flat(direction: Any) -> Array:
     """Return a change of a control as a flat array. Not collective."""
     return values_of(direction) if isinstance(direction, fem.Function) else np.ravel(direction)
-
-
-def owned_size(function: fem.Function) -> int:
-    """Return the number of values of a Function that this rank owns. Not collective."""
-    return int(function.x.index_map.size_local * function.x.block_size)

@@ -23,16 +23,10 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, unit
-from dolfinx_tresca._base.functions import with_owned_values
+from dolfinx_tresca._base.functions import owned_size, with_owned_values
 from dolfinx_tresca._base.parallel import log, reduce_array
 from dolfinx_tresca._base.petsc import as_petsc
-from dolfinx_tresca.derivatives.change_of_data import (
-    Control,
-    DataOfSolution,
-    DataVector,
-    flat,
-    owned_size,
-)
+from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, DataVector, flat
 from dolfinx_tresca.derivatives.linearised import ADJOINT_ACCURACY, LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import InputError, shown

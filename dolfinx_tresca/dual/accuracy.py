@@ -23,7 +23,7 @@ from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
-from dolfinx_tresca._base.functions import entities_per_cell, zero_like
+from dolfinx_tresca._base.functions import vertex_count, zero_like
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 from dolfinx_tresca.dual.jump import JumpOperator, nodal_compliance
 from dolfinx_tresca.errors import StiffnessError
@@ -271,7 +271,7 @@ class DiscretisationError:
         self._at_nodes = _continuation(cell, degree - 1, points, nodes)
         weight = ufl.TestFunction(cells)
         difference = self._gradient - ufl.grad(self._u)
-        simplices = entities_per_cell(V, 0) == mesh.topology.dim + 1
+        simplices = vertex_count(V) == mesh.topology.dim + 1
         self._factor = RECOVERY_FACTOR[simplices][degree - 1]
         self._square = fem.form(with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)

@@ -9,27 +9,12 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_tresca._base.arrays import (
-    ROUNDING,
-    Array,
-    Indices,
-    LocalNumbers,
-    Mask,
-    cross,
-    dots,
-    real,
-)
+from dolfinx_tresca._base.arrays import ROUNDING, Array, LocalNumbers, Mask, cross, dots, real
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.scene.friction import (
-    COEFFICIENT_ROUNDING,
-    DIRECTION_NAMES,
-    Bound,
-    Friction,
-    ScalarField,
-)
+from dolfinx_tresca.scene.friction import COEFFICIENT_ROUNDING, Friction, ScalarField, two_bounds
 from dolfinx_tresca.solvers.feasible_set import Curve
 
 
@@ -135,7 +120,7 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
     return np.asarray(1.0 / reciprocals)
 
 
-def friction_discs(node: Indices, semi_axes: Array, count: int) -> tuple[Array, Array, Mask]:
+def friction_discs(node: LocalNumbers, semi_axes: Array, count: int) -> tuple[Array, Array, Mask]:
     """Scale tangential unknowns such that each node's ellipse is a disc (docs/theory/coulomb.md).
 
     The projection onto a disc is explicit, but the projection onto an ellipse is not. For
@@ -176,11 +161,8 @@ def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]
     result = {}
     for term, words in TERMS.items():
         name = friction.constant_name if term == "constant" else words
-        bound: Bound = getattr(friction.terms, term)
-        result[term] = [(bound, name)]
-        if isinstance(bound, tuple):
-            sides = zip(bound, DIRECTION_NAMES, strict=True)
-            result[term] = [(value, f"{name} {side}") for value, side in sides]
+        bound = getattr(friction.terms, term)
+        result[term] = two_bounds(bound, name) if isinstance(bound, tuple) else [(bound, name)]
     return result
 
 

@@ -7,12 +7,7 @@ from typing import Any
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import timed
 from dolfinx_tresca.errors import InputError
-from dolfinx_tresca.floating.rigid_modes import (
-    FixingSprings,
-    RigidBodyModes,
-    fixing_springs,
-    weakly_resisted_modes,
-)
+from dolfinx_tresca.floating import rigid_modes
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.stiffness.choice import SolverRequest
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, cholesky, multigrid
@@ -35,9 +30,11 @@ class HeldStiffness:
         nodes = self.bodies.nodes
         size = dim * float(nodes @ nodes / nodes.sum())  # of each node's body: large ones decide
         self.method, self.reason = request.choose(size, dim, linear.comm, saddle=is_saddle)
-        self._modes: RigidBodyModes | None = None
+        self._modes: rigid_modes.RigidBodyModes | None = None
 
-    def factored(self, timings: dict[str, float]) -> tuple[StiffnessSolver, FixingSprings | None]:
+    def factored(
+        self, timings: dict[str, float]
+    ) -> tuple[StiffnessSolver, rigid_modes.FixingSprings | None]:
         """Assemble K, find the rigid modes that it resists weakly, and factor it. Collective.
 
         The caller owns the solver. With a mixed space, the modes are found in the first call only:
@@ -48,8 +45,8 @@ class HeldStiffness:
         with timed("stiffness", timings):
             linear.assemble_stiffness()
             if self._modes is None or linear.component is None:
-                self._modes = weakly_resisted_modes(linear, self.bodies)
-        springs = fixing_springs(self._modes, linear)
+                self._modes = rigid_modes.weakly_resisted_modes(linear, self.bodies)
+        springs = rigid_modes.fixing_springs(self._modes, linear)
         with timed(self.method, timings):
             K = springs.added_to(linear.K) if springs else linear.K
             given = request.petsc_options or {}, request.prefix

@@ -32,12 +32,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
-from dolfinx_tresca._base.functions import (
-    assembled,
-    entities_per_cell,
-    owned_values,
-    with_owned_values,
-)
+from dolfinx_tresca._base.functions import assembled, owned_values, vertex_count, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.petsc import as_petsc, dense_matrix
 from dolfinx_tresca.errors import InputError, shown
@@ -297,7 +292,7 @@ class ContactOperators:
         """Return the numbers (n,) of the contact nodes in a space Q of degree 1."""
         dofs = self._V.dofmap.list
         number = np.zeros(dofs.max(initial=-1) + 1, dtype=np.int32)
-        number[dofs[:, : entities_per_cell(self._V, 0)]] = Q.dofmap.list
+        number[dofs[:, : vertex_count(self._V)]] = Q.dofmap.list
         return np.asarray(number[self._pair.nodes])
 
     def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:

@@ -24,14 +24,8 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, real
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import geometry_degree
-from dolfinx_tresca._base.functions import entities_per_cell, numbers_in_file, with_owned_values
-from dolfinx_tresca._base.parallel import (
-    errors_on_all_ranks,
-    gather_rows,
-    reduce_array,
-    row_of_least,
-    warn,
-)
+from dolfinx_tresca._base.functions import numbers_in_file, vertex_count, with_owned_values
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, row_of_least, warn
 from dolfinx_tresca.errors import InputError, MeshError, PairingError, shown_place
 from dolfinx_tresca.pairing.facets import (
     MESH_ROUNDING,
@@ -198,7 +192,7 @@ def _shared(
     for k in map(int, np.flatnonzero(compared)):
         facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
         nodes = fem.locate_dofs_topological(V, dim, facets)  # those of facets of other ranks, too
-        items = nodes if label is None else gather_rows(comm, np.unique(label[nodes]))
+        items = nodes if label is None else np.concatenate(comm.allgather(np.unique(label[nodes])))
         rows.append(np.column_stack([items, np.full(len(items), k)]))
     item, pair = np.concatenate(rows).T
     shape = int(item.max(initial=-1)) + 1, len(pairs)
@@ -285,7 +279,7 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
     cell_nodes = dofmap.list[cells]
     nodes = np.take_along_axis(cell_nodes, np.array(closures)[place], axis=1)
     points = x[nodes]
-    middle = x[cell_nodes[:, : entities_per_cell(V, 0)]].mean(axis=1)
+    middle = x[cell_nodes[:, : vertex_count(V)]].mean(axis=1)
     free = with_owned_values(V, (~prescribed).astype(np.float64)).x.array
     is_free = free.reshape(-1, dofmap.index_map_bs) > 0.5
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
@@ -432,7 +426,7 @@ def straightened(V: Any, u: Array) -> Array:
     if element.degree <= geometry_degree(V.mesh):
         return u
     # the mesh then has straight edges, between whose vertices u becomes linear
-    cells, corners = V.dofmap.list, entities_per_cell(V, 0)
+    cells, corners = V.dofmap.list, vertex_count(V)
     hats = tabulate(element.cell_type.name, 1, 0, element.points)[0]
     result = u.copy()
     result[cells] = hats @ u[cells[:, :corners]]

@@ -173,9 +173,6 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
 #: One scalar for all directions, or two semi-axes of an ellipse, along a direction and across it.
 Bound: TypeAlias = "ScalarField | tuple[ScalarField, ScalarField]"
 
-#: Names of the two semi-axes, for error messages.
-DIRECTION_NAMES = ("along the direction", "across the direction")
-
 #: A coefficient of friction that is negative by less than this counts as zero.
 COEFFICIENT_ROUNDING = 1e-12
 
@@ -381,6 +378,11 @@ class Coulomb(DryFriction):
         return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 
+def two_bounds(bounds: Sequence[Any], name: str) -> list[tuple[Any, str]]:
+    """Return two bounds, along a direction and across it, with their names for messages."""
+    return [(bounds[0], f"{name} along the direction"), (bounds[1], f"{name} across the direction")]
+
+
 def _check_bound(bound: Any, direction: VectorField | None, name: str) -> None:
     """Check the type of one bound, or of two bounds and their direction."""
     values = bound if isinstance(bound, tuple) else (bound,)
@@ -393,8 +395,8 @@ def _check_bound(bound: Any, direction: VectorField | None, name: str) -> None:
     if direction is None:
         check_field(bound, (), name)
         return
-    for value, side in zip(values, DIRECTION_NAMES, strict=True):
-        check_field(value, (), f"{name} {side}")
+    for value, words in two_bounds(values, name):
+        check_field(value, (), words)
     check_field(direction, (3,), f"the direction of {name}")
 
 

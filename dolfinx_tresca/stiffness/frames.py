@@ -31,6 +31,7 @@ from dolfinx_tresca._base.bodies import Bodies, label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
+from dolfinx_tresca.errors import StiffnessError
 from dolfinx_tresca.scene.friction import Bonded
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.forms import has_stresses
@@ -112,6 +113,15 @@ class BodyFrames:
             guides=np.where(is_held[label[:owned]], whole, everywhere),
             centre=np.where(is_held[:, None], held_centre, centre),
         )
+
+    def check_kept(self, at_rest: BodyFrames | None) -> None:
+        """Check that all bodies that have turned have a frame with a new K, too."""
+        if at_rest is None or (at_rest.has_frame != self.has_frame).any():
+            raise StiffnessError(
+                "bodies have turned in their frames, and the new K resists the rigid motions of "
+                "one of them, as springs do that refer to a place in space. Have such springs in a "
+                "from the start: the body then has no frame."
+            )
 
     @cached_property
     def _points(self) -> Array:
