@@ -305,8 +305,8 @@ class ContactSystem(PetscOwner):
     def _at_nodes(self, values: Array, default: float) -> Array:
         """Return the values (pairs, owned nodes) of normal rows, from those (size,) of B's rows."""
         result = np.full((len(self.pairs), self.linear.V.dofmap.index_map.size_local), default)
-        for of_pair, pair, (n, _) in zip(result, self.jump.pairs, self.jump.slices, strict=True):
-            of_pair[pair.nodes[pair.normal_node]] = values[n]
+        for of_pair, rows in zip(result, self.jump.own_rows, strict=True):
+            of_pair[rows.operators.nodes[rows.operators.normal_node]] = values[rows.normal]
         return result
 
     def contact_forces(self, multipliers: Array | None = None) -> Array:

@@ -213,13 +213,11 @@ class Obstacles:
         """Return scaled jumps (size,) of `motions`, and the largest displacement. Collective."""
         jump = state.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0
-        for pair, start, end, (normal, tangential) in zip(
-            self._pairs, before, after, jump.slices, strict=True
-        ):
+        for pair, start, end, own in zip(self._pairs, before, after, jump.own_rows, strict=True):
             if not np.array_equal(start, end):
                 u = state.configuration if pair.sliding == "finite" else state.geometry
                 moved = self._displacement(start, end, u)
                 largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
-                rows = slice(normal.start, tangential.stop)
+                rows = np.append(own.normal, own.tangential)
                 jumps[rows] = jump.of_displacement(moved)[rows]
         return jumps, largest

@@ -192,9 +192,9 @@ class StepState:
         rows = jump.discs.tangential
         origin[rows] = (jump.of_displacement(u) - kept)[rows]
         at_start = np.zeros_like(origin) if accepted is None else jump.of_displacement(accepted)
-        for pair, is_new, (_, t) in zip(jump.pairs, since_accepted, jump.slices, strict=True):
-            if is_new and not pair.bonded:
-                origin[t] = at_start[t]
+        for is_new, own in zip(since_accepted, jump.own_rows, strict=True):
+            if is_new and not own.operators.bonded:
+                origin[own.tangential] = at_start[own.tangential]
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:

@@ -84,12 +84,9 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
         "limit": np.where(is_limited, by_constant, 0.0),
     }
     result: list[NodalField] = []
-    for pair, operators, discs, (normal, _) in zip(
-        pairs, jump.pairs, jump.nodes, jump.slices, strict=True
-    ):
-        node, disc = np.arange(len(operators.nodes)), np.arange(discs.start, discs.stop)
-        rows = np.arange(normal.start, normal.stop)
-        by_gap = 1.0 / jump.length_scale[normal], (rows, operators.normal_node)
+    for pair, rows in zip(pairs, jump.own_rows, strict=True):
+        operators, disc, node = rows.operators, rows.nodes, np.arange(len(rows.nodes))
+        by_gap = 1.0 / jump.length_scale[rows.normal], (rows.normal, operators.normal_node)
         fields: list[Any] = [(pair.gap, f"the gap of contact pair {pair}", by_gap)]
         for term, words in TERMS.items():
             scalar = getattr(pair.friction.terms, term)
@@ -157,8 +154,8 @@ def moved_rows(
     if not in_all_steps:
         solved = system.solution_for("a derivative")
         origin, moves_in_step = solved.dual.history.origin, moves & solved.moved
-        for pair, moved, (_, t) in zip(system.pairs, moves_in_step, jump.slices, strict=True):
-            if moved and system.comm.allreduce(bool(origin[t].any()), op=MPI.LOR):
+        for pair, moved, rows in zip(system.pairs, moves_in_step, jump.own_rows, strict=True):
+            if moved and system.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."

@@ -27,13 +27,14 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 @dataclasses.dataclass(frozen=True)
 class RowsOfPair:
-    """The nodes and rows of B of all multipliers that act on a pair.
+    """The nodes and rows of B of the multipliers that a pair owns, or of all that act on it.
 
-    Pairs of a group (`PairGroup`) share multipliers: a pair that has none itself, or whose nodes at
-    a common edge have their multipliers in another pair, has its part of their areas.
+    Pairs of a group (`PairGroup`) share multipliers: on a pair that owns none itself, or whose
+    nodes at a common edge have their multipliers in another pair, those of others act, too.
 
     Attributes:
-        operators: the operators at all nodes with an area of the pair, with these areas as weights.
+        operators: the operators at these nodes. Their weights are the whole areas of the nodes that
+            the pair owns; of all that act on it, the parts of their areas on the pair.
         nodes: (n,) number of each node among the nodes of all pairs of B.
         normal: (n_normal,) row of B of each row of N.
         tangential: (n_tangential,) row of B of each row of T.
@@ -63,8 +64,7 @@ class JumpOperator(PetscOwner):
 
     Attributes:
         frames: the frames of bodies that have turned; None: there are none.
-        slices: the positions of each pair's own normal and tangential multipliers; those of other
-            pairs may act on it, too (`by_pair`).
+        own_rows: the nodes and rows of the multipliers that each pair owns.
         nodes: the positions of each pair's nodes among the nodes of all pairs.
         row_nodes: (size,) the position of each row's node among the nodes of all pairs.
         is_tangential: (size,) whether a row is tangential.
@@ -87,16 +87,17 @@ class JumpOperator(PetscOwner):
         self.system, self.frames, self.comm = system, frames, system.comm
         self.reductions = RankReductions(system.comm)
         self.nodes = _consecutive([len(pair.nodes) for pair in pairs])
-        rows = _consecutive([len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)])
-        self.slices = list(zip(rows[::2], rows[1::2], strict=True))
+        counts = [len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)]
+        rows = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
+        self._rows = list(zip(rows[::2], rows[1::2], strict=True))
         starts = zip(pairs, self.nodes, strict=True)
         self.row_nodes = np.concatenate([pair.row_node + nodes.start for pair, nodes in starts])
         self._root_areas = np.sqrt(np.concatenate([pair.weights for pair in pairs]))
         scale: Array = 1.0 / self._root_areas[self.row_nodes]
         is_tangential, is_bonded = np.zeros((2, len(scale)), dtype=np.bool_)
-        for pair, (n, t) in zip(pairs, self.slices, strict=True):
+        for pair, (n, t) in zip(pairs, self._rows, strict=True):
             is_tangential[t] = True
-            is_bonded[n.start : t.stop] = pair.bonded
+            is_bonded[n] = is_bonded[t] = pair.bonded
         self.is_tangential = is_tangential
         tangential, count = np.flatnonzero(is_tangential), len(self._root_areas)
         semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
@@ -136,7 +137,7 @@ class JumpOperator(PetscOwner):
 
     @property
     def by_pair(self) -> list[RowsOfPair]:
-        """The nodes and rows of the multipliers that act on each pair."""
+        """The nodes and rows of all multipliers that act on each pair."""
         result = []
         for k, pair in enumerate(self.pairs):
             numbers = pair.undeformed.group.numbers
@@ -155,7 +156,11 @@ class JumpOperator(PetscOwner):
     def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
         """Set the pairs, which may be copies with other distances or gaps. Not collective."""
         self.pairs, self.gap = list(pairs), np.zeros(len(self.length_scale))
-        for pair, (normal, _) in zip(self.pairs, self.slices, strict=True):
+        self.own_rows = [
+            RowsOfPair(pair, np.arange(nodes.start, nodes.stop), normal, tangential)
+            for pair, nodes, (normal, tangential) in zip(pairs, self.nodes, self._rows, strict=True)
+        ]
+        for pair, (normal, _) in zip(pairs, self._rows, strict=True):
             self.gap[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
 
     def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet:
@@ -195,15 +200,14 @@ class JumpOperator(PetscOwner):
 
     def nodal_vectors(self, values: Array) -> list[Array]:
         """Return the values (size,) of B's rows at each pair's nodes, see `PairOperators`."""
-        pairs = zip(self.pairs, self.slices, strict=True)
-        return [pair.nodal_vectors(values[n], values[t]) for pair, (n, t) in pairs]
+        return [rows.nodal_vectors(values) for rows in self.own_rows]
 
     def components(self, vectors: Sequence[Array]) -> Array:
         """Return the values (size,) of B's rows from `nodal_vectors`. Not collective."""
         result = np.zeros(len(self.gap))
-        for pair, (n, t), rows in zip(self.pairs, self.slices, vectors, strict=True):
-            result[n] = rows[pair.normal_node, 0]
-            result[t] = dots(rows[pair.tangent_node, 1:], pair.tangents)
+        for pair, (n, t), at_nodes in zip(self.pairs, self._rows, vectors, strict=True):
+            result[n] = at_nodes[pair.normal_node, 0]
+            result[t] = dots(at_nodes[pair.tangent_node, 1:], pair.tangents)
         return result
 
     def of_unknowns(self, u: PETSc.Vec) -> Array:

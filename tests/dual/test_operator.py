@@ -76,7 +76,7 @@ def test_A_and_b_are_those_of_dense_algebra(comm, end):
         assert np.allclose(where[own], points[order], atol=1e-12)
         assert np.allclose(dual.jump.pairs[0].weights[own], weights[order], rtol=1e-12)
         size = np.abs(A).max()
-        normal = np.arange(m)[dual.jump.slices[0][0]][own]
+        normal = dual.jump.own_rows[0].normal[own]
         assert np.allclose(mine[np.ix_(normal, normal)], A[np.ix_(order, order)], atol=SOLVE * size)
         assert np.allclose(np.linalg.eigvalsh(mine), np.linalg.eigvalsh(A), atol=SOLVE * size)
         assert np.allclose(dual.b[normal], b[:m][order], atol=SOLVE * np.abs(b).max())
