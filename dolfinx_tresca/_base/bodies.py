@@ -64,10 +64,7 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
 def labels_of(
     V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return the labels (n,) of nodes by ascending global numbers, from those of owned nodes.
-
-    Collective.
-    """
+    """Return labels (n,) of nodes by global numbers, from those of owned nodes. Collective."""
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)

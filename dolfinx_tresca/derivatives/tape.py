@@ -190,10 +190,7 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return for each step the derivatives with respect to the controls in this step.
-
-        Collective. See `gradient`.
-        """
+        """Return for each step the derivatives by the controls in this step. Collective."""
         contact = self._contact
         contact.check_not_destroyed()
         u = fem.Function(contact.linear.V)
@@ -228,10 +225,7 @@ class ProcessTape:
             )
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles have not moved, and that derivatives with respect to them are known.
-
-        Collective.
-        """
+        """Check that obstacles have not moved, and have derivatives if needed. Collective."""
         contact, steps = self._contact, self._steps
         if contact.obstacles.changed(contact.jump).any():
             raise ContactError(

@@ -68,9 +68,9 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
    left linear theory. `print(solution)` shows its rows.
 
 For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
-bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6
-and the first sentence of step 7. `accept` (room `problem`) makes the tractions, slips and places of
-obstacles of a solution those from which the next load step begins (`StepState.after_solution`).
+bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6 and the first
+sentence of step 7. `accept` (room `problem`) makes the tractions, slips and places of obstacles of
+a solution those from which the next load step begins (`StepState.after_solution`).
 
 Read first: `jump.JumpOperator.__init__`, `program.DualProgram`, `program.DualProgram.gradient`.
 """

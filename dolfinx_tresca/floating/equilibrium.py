@@ -231,9 +231,7 @@ class FloatingBodies:
         return result, sizes
 
     def under(self, load: Array, feasible_set: FeasibleSet, reductions: Reductions) -> Equilibrium:
-        """Return the equilibrium under a load, after a check that contact can hold the bodies.
-
-        Collective.
+        """Return the equilibrium under a load, if contact can hold the bodies. Collective.
 
         Raises:
             MechanismError: neither K nor contact resists a motion, or nothing balances the loads;
@@ -308,10 +306,7 @@ class FloatingBodies:
     def _balanced(
         self, constraints: EqualityConstraints, factors: Array, feasible_set: FeasibleSet
     ) -> EqualityConstraints:
-        """Return the equations, without the rounding of loads that contact cannot balance.
-
-        Collective.
-        """
+        """Return the equations, without rounding that contact cannot balance. Collective."""
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if balanced.satisfied:
             return constraints

@@ -136,9 +136,7 @@ class NewtonStep:
 
 @dataclass(frozen=True)
 class NewtonRecord:
-    """The steps of Newton's method in one `solve`.
-
-    It is shown as a table.
+    """The steps of Newton's method in one `solve`, shown as a table.
 
     Attributes:
         steps: all steps, including the steps of parts of the load that failed.

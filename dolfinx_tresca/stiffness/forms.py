@@ -262,10 +262,7 @@ def check_meridian(mesh: Any) -> None:
 
 
 def check_hoop_stiffness(K: PETSc.Mat) -> None:
-    """Check that an axisymmetric K, without Dirichlet conditions, resists a radial translation.
-
-    Collective.
-    """
+    """Check that an axisymmetric K without conditions resists a radial translation. Collective."""
     motion, force = K.createVecs()
     motion.array = np.tile([1.0, 0.0], motion.local_size // 2)
     K.mult(motion, force)
