@@ -44,6 +44,8 @@ class Level:
 
     Attributes:
         number: number of the mesh; the first is 0.
+        tagged_mesh: the mesh.
+        solution: the solution on the mesh.
         free_dofs: degrees of freedom that are not prescribed, as `ContactProblem.free_dofs`.
         error: estimate of the mesh's error: in the energy norm, relative to the solution's norm,
             or, with a goal, the relative error of the goal; infinite if unknown. A goal that does
@@ -77,10 +79,12 @@ class Level:
 
 @dataclass(frozen=True)
 class AdaptiveSolution(Tabulated):
-    """The solutions on all meshes, from coarse to fine, and the reason why no finer mesh followed.
+    """The solutions on all meshes, and the reason why no finer mesh followed.
 
     Attributes:
+        status: the reason why no finer mesh followed.
         accuracy: the requested accuracy.
+        levels: all meshes with their solutions, from coarse to fine.
     """
 
     status: AdaptiveStatus

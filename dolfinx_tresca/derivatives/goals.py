@@ -137,6 +137,7 @@ class GoalError:
     """The value of a goal in a solution, and an estimate of its discretisation error.
 
     Attributes:
+        goal: the goal.
         value: value of the goal in the solution [unit of the goal].
         error: estimate of the discretisation error of the value [same unit]: the absolute value of
             `signed_error` and, as its uncertainty, `DOUBT` times the sum of the squares of
@@ -379,6 +380,8 @@ class SurfaceTangent:
     The units are those of the fields, since a direction is a change of the controls in their units.
 
     Attributes:
+        name: name of the pair.
+        mesh: the mesh of the surface.
         pressure: change of the contact pressure [stress].
         gap: change of the gap [length], zero at pressed nodes.
         traction: change of the tangential traction [stress]; None without friction.

@@ -43,7 +43,7 @@ LEAST_MEAN = 0.88
 
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered: on
 #: an overlap as wide as one or two facets `LEAST_MEAN` would leave a line of nodes, about which a
-#: body could rotate. With half of it, nodes with a twentieth of their area covered would carry.
+#: body could rotate. With half of it, nodes with a twentieth of their area covered would count.
 LEAST_MEAN_OF_FEW = 0.45
 
 #: Least covered part of a node's area with which the node carries a multiplier: no round number,

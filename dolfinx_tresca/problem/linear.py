@@ -253,9 +253,10 @@ class ContactProblem(ContactProcess):
         """Return the value of a goal in the last solution, with an error estimate. Collective.
 
         The estimate keeps the contact state of each node, since changes of states are of second
-        order in the error of the displacement. It covers the discretisation error of the
-        displacement, but not the shape of curved boundaries without contact, which is taken as it
-        is in the mesh. It costs about ten products with A, which later solves use, too.
+        order in the error of the displacement: if all nodes stick, the mean slip and its estimated
+        error are zero. It covers the discretisation error of the displacement, but not the shape of
+        curved boundaries without contact, which is taken as it is in the mesh. It costs about ten
+        products with A, which later solves use, too.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.

@@ -314,7 +314,7 @@ class RigidObstacle:
     def distance(self, points: Array) -> Array:
         """Return signed distances (n,) of points (n, 3) [length], for pictures. Not collective.
 
-        They may be outside the domain of the function: the largest replaces what is not finite.
+        Points may be outside the function's domain: the largest value replaces what is not finite.
         """
         with np.errstate(all="ignore"):
             returned = self.signed_distance(self.motion.reversed_from(points.T))

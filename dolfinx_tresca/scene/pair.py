@@ -366,7 +366,8 @@ class MeanSlip(_OnPair):
 class PressureNorm(_OnPair):
     """Norm of the contact pressure in L^m, (integral of p^m)^(1/m) [stress area^(1/m)].
 
-    The norm is a smooth measure of the peak, for a given force smallest if pressure is uniform.
+    The norm is a smooth measure of the peak: the larger m is, the more the largest pressures count.
+    For a given force the norm is smallest if the pressure is uniform.
 
     Attributes:
         exponent: m, at least 1; the norm for m = 1 is the normal force.
