@@ -141,7 +141,8 @@ class MortarIntegrals(FacetIntegrals):
         self.least = np.full(n, np.inf)
         self._covered = np.zeros(count)
         none: Indices = np.zeros((0, 2), dtype=np.intp)
-        self._overlaps = [(none, np.zeros((0, corners, partners.nodes.shape[1])), none)]
+        empty: Array = np.zeros((0, corners, partners.nodes.shape[1]))
+        self._overlaps = [(none, empty, none)]
         mine = np.flatnonzero(np.isin(self._pieces.facet, selected))
         reach: Array = np.full(count, limit)
         if order is not None:
