@@ -309,7 +309,8 @@ def weights_of_nearest(
     point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
     sides = np.swapaxes(simplices[b, 1:] - simplices[b, :1], 1, 2)
     reference = np.linalg.solve(sides, (place - simplices[b, 0])[..., None])[..., 0]
-    inside = (reference > 0.0).all(axis=1) & (reference.sum(axis=1) < 1.0)
+    # on an edge that two nearer simplices share, the point is in both
+    inside = (reference > -MISMATCH).all(axis=1) & (reference.sum(axis=1) < 1.0 + MISMATCH)
     result = weight.reshape(-1, count).copy()
     result[a[inside], point[inside] % count] = 0.0
     return result.ravel()
