@@ -11,21 +11,23 @@ from scipy.sparse import kron
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
-from dolfinx_tresca._base.parallel import reduce_array, summed_at_nodes
+from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import MeshCells, bernstein, mean_products, pair_means
-from dolfinx_tresca.pairing.operators import PairOperators, as_petsc, joined
-from dolfinx_tresca.pairing.pair_surfaces import pair_group
-from dolfinx_tresca.pairing.undeformed import PairGroup
+from dolfinx_tresca.pairing.operators import PairOperators, as_petsc
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
-from dolfinx_tresca.scene.pair import SideName
+from dolfinx_tresca.scene.pair import ContactPair, SideName
 
 #: Difference of unit normals, and of entries of the primary side's means from 1, that count as
 #: rounding.
 FLATNESS = 1e-8
+
+#: Penetration relative to the largest displacement that counts as rounding.
+PENETRATION = 1e-10
 
 
 class ContactSurface:
@@ -64,26 +66,22 @@ class ContactSurface:
         self.bonded = isinstance(pair.friction, Bonded)
         V, d, comm = cells.V, cells.d, cells.V.mesh.comm
         rigid = isinstance(pair.primary, RigidPlane)
-        finite = self.bonded or np.isfinite(bounds[rows.nodes]).all()
-        alike = all(member.friction == pair.friction for member in group.pairs)
-        cells.require(
-            alike and finite and (rows.operators.semi_axes == 1.0).all(),
-            "surfaces of one law with one finite slip bound for all directions, unlike those "
-            f"of contact pair {pair}. Leave a gap between surfaces of different laws",
+        needed = (
+            "contact with rigid planes, or of bodies of degree 1 whose meshes match on flat "
+            "surfaces, with one law and one finite slip bound for all directions; contact pair "
+            f"{pair} differs. Mesh both sides alike, make a pair of each flat side, and leave a "
+            "gap between surfaces of different laws"
         )
-        matching = (
-            "rigid planes, or bodies of degree 1 whose meshes match on flat surfaces, and those of "
-            f"contact pair {pair} do not. Mesh both alike, and make a pair of each flat side"
-        )
-        every = _with_all_nodes(V, group)
-        every = every.at_nodes(every.shares[:, member] > 0.0)
+        alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
+        alike &= self.bonded or bool(np.isfinite(bounds[rows.nodes]).all())
+        every = _with_all_nodes(V, pair)
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
-        whole = (np.abs(every.primary.data - 1.0) < FLATNESS).all()
-        cells.require(rigid or (nodewise and whole), matching)
+        nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()
+        alike &= (rows.operators.semi_axes == 1.0).all()
+        cells.require(alike and (rigid or nodewise), needed)
         self.nodes = every.nodes
         opposite_nodes = kron(every.primary, np.eye(d), format="csr")  # none of a plane
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
-        self._faces = self._at_nodes(np.ones((len(self.nodes), 1)))
         gaps = np.zeros(len(self.nodes)) if self.bonded else every.distance
         if pair.gap is not None and not self.bonded:
             name = f"the gap of contact pair {pair}"
@@ -101,15 +99,11 @@ class ContactSurface:
             self.normal = total / np.linalg.norm(total)
         self._axes = np.eye(d) if self.bonded else self.normal[None]
         tractions = self._carried(self._nodal_tractions(dual, rows, multipliers, bounds))
+        held = prescribed[self._nodes].all(axis=(1, 2))
         cells.require(
-            not tractions[outside].any(),
-            f"multipliers at all nodes of pressed facets, and contact pair {pair} has pressed "
-            "facets at a rim",
-        )
-        cells.require(
-            not prescribed[self._nodes].all(axis=(1, 2)).any(),
-            "contact surfaces without prescribed displacements, and some facets of contact pair "
-            f"{pair} have them",
+            not tractions[outside].any() and not held.any(),
+            "multipliers at all nodes of pressed facets, and facets that are not prescribed, and "
+            f"contact pair {pair} has pressed facets at a rim, or prescribed ones",
         )
         self.tractions = tractions[self._corners]
         self.sides = [(self.cell, self.facet, self.tractions)]
@@ -117,7 +111,7 @@ class ContactSurface:
             cell, facet, corners, _ = self._facets_of("primary", touching)
             turned = np.vstack([normals, -cells.normals[cell, facet]]) - self.normal
             unpaired = comm.allreduce(len(cell) - len(self.cell))
-            cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), matching)
+            cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), needed)
             self.sides.append((cell, facet, tractions[corners]))
 
     def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
@@ -141,18 +135,15 @@ class ContactSurface:
         Nodes whose multipliers lack components, which are prescribed, have means of neighbours.
         """
         V, pair, d = self._cells.V, rows.operators, self._cells.d
-        stress = multipliers * dual.jump.stress_scale
-        origin = (dual.offset - dual.jump.gap) * dual.jump.length_scale
-        values = np.zeros((V.dofmap.index_map.size_local, 2 * d + 3))
-        tractions = rows.nodal_vectors(stress)
-        values[pair.nodes, 0] = tractions[:, 0]
-        values[pair.nodes, 1] = 0.0 if self.bonded else bounds[rows.nodes]
-        values[pair.nodes, 2 : d + 2] = -tractions[:, 1:]
-        values[pair.nodes, d + 2 : -1] = rows.nodal_vectors(origin)[:, 1:]
+        stress = rows.nodal_vectors(multipliers * dual.jump.stress_scale)
+        origin = rows.nodal_vectors((dual.offset - dual.jump.gap) * dual.jump.length_scale)
+        bound = np.zeros(len(pair.nodes)) if self.bonded else bounds[rows.nodes]
         components = 1 if isinstance(self.pair.friction, Frictionless) else d
-        counts = np.bincount(pair.row_node, minlength=len(pair.nodes))
-        values[pair.nodes, -1] = counts == components
-        table = self._cells.spread(values * values[:, -1:])
+        has_all = np.bincount(pair.row_node, minlength=len(pair.nodes)) == components
+        columns = np.column_stack([stress[:, 0], bound, -stress[:, 1:], origin[:, 1:], has_all])
+        values = np.zeros((V.dofmap.index_map.size_local, columns.shape[1]))
+        values[pair.nodes] = has_all[:, None] * columns
+        table = self._cells.spread(values)
         sums = np.repeat(table[self._corners].sum(axis=1, keepdims=True), d, axis=1)
         around = summed_at_nodes(V.dofmap.index_map, self._corners, sums)
         table = np.where(table[:, -1:] > 0.0, table, around)
@@ -191,7 +182,7 @@ class ContactSurface:
         facing.array = values[self.nodes].ravel()
         self._opposite.multTranspose(facing, unknowns)
         opposites = self._cells.spread(unknowns.array.reshape(-1, values.shape[1]))
-        return values * self._faces - opposites
+        return self._at_nodes(values[self.nodes]) - opposites
 
     def _coefficients(self, values: Array) -> Array:
         """Return Bernstein's coefficients (m, d, d, d) of jumps on the secondary facets.
@@ -229,12 +220,14 @@ class ContactSurface:
         steps = np.divide(excess, room, out=np.zeros_like(room), where=room > 0.1)
         return np.asarray(steps @ self._axes)
 
-    def defects(self, v: fem.Function) -> tuple[Array, Array, float]:
+    def defects(self, v: fem.Function) -> Array:
         """Return by how much tractions and jumps miss the law of contact. Collective.
 
-        Returns:
-            the integrals (m,) over facets of p (d - v_n), upper bounds (m,) of those of g |v_t - s|
-            + t (v_t - s), and the largest penetration, or jump of bonded surfaces.
+        The result (m, 2) has the integrals over facets of p (d - v_n), and upper bounds of those of
+        g |v_t - s| + t (v_t - s).
+
+        Raises:
+            InputError: v penetrates, or has jumps of bonded surfaces.
         """
         jumps = self._coefficients(v.x.array.reshape(-1, self._cells.d))
         closing, pressure = jumps @ self.normal, -self.tractions @ self.normal
@@ -248,11 +241,18 @@ class ContactSurface:
         complementarity = np.einsum("mk,mkij,mij->m", pressure, products, openings)
         lack = np.einsum("mk,mkij,mij->m", bounds, products, sizes)
         lack += np.einsum("mkd,mkij,mijd->m", friction, products, slips)
-        depth = np.abs(jumps) if self.bonded else -openings
-        return complementarity, lack, float(depth.max(initial=0.0))
+        depth, size = largest_sizes(
+            self._cells.V.mesh.comm, jumps if self.bonded else np.minimum(openings, 0.0), v.x.array
+        )
+        self._cells.require(
+            depth <= PENETRATION * size,
+            "an exact solution, and prescribed displacements penetrate at contact pair "
+            f"{self.pair}",
+        )
+        return np.stack([complementarity, lack], axis=1)
 
 
-def _with_all_nodes(V: Any, group: PairGroup) -> PairOperators:
+def _with_all_nodes(V: Any, pair: ContactPair) -> PairOperators:
     """Pair surfaces as if nothing were prescribed: all nodes have jumps and distances. Collective.
 
     The log has the pairing of the problem already.
@@ -262,6 +262,6 @@ def _with_all_nodes(V: Any, group: PairGroup) -> PairOperators:
     logger.setLevel(logging.ERROR)
     try:
         nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
-        return joined(pair_group(V, nothing, group))
+        return pair_surfaces(V, nothing, pair)
     finally:
         logger.setLevel(level)

@@ -340,7 +340,7 @@ class ContactProblem(ContactProcess):
         """
         bodies, solved, gain = self._checked_for_bounds(gain)
         contact, linear = self._contact, self._contact.linear
-        functional = bound.Functional.of_goal(goal, bodies, solved.dual)
+        functional = bound.Functional(goal, bodies, solved.dual)
         multiple, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = multiple * functional.form if L is None else L + multiple * functional.form
         # differences of these solves count
@@ -356,9 +356,7 @@ class ContactProblem(ContactProcess):
             return bodies.candidate(loaded.dual, loaded.multipliers, loaded.fields.u, balanced)
 
         with contact.restored(), linear.loaded(load):
-            return bound.guaranteed_goal(
-                functional, bodies, solved.dual, solved.fields.u, candidate, gain
-            )
+            return functional.interval(solved.fields.u, candidate, gain)
 
     def _checked_for_bounds(self, gain: Any) -> tuple[bound.Bodies, StepSolution, float]:
         """Check that the last solution has guaranteed bounds. Collective."""

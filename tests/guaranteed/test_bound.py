@@ -225,7 +225,7 @@ def test_oscillation_of_tractions_is_the_most_that_the_constants_allow(quadratic
     load += cubic * 7**0.5 * (5.0 * z**3 - 3.0 * z) / 2.0
     on_edge = ufl.conditional(ufl.lt(y, 1e-9), 1.0, 0.0)
     L = on_edge * load * ufl.TestFunction(V)[1] * ufl.ds
-    cells = MeshCells.from_space(V)
+    cells = MeshCells(V)
     loading, oscillation = loads(L, cells, np.ones((2, 4)), None)
     ratio = QUADRATIC_TRACE[2] / TRACE[2]
     share = np.linspace(0.0, ratio, 100001)  # of the quadratic part in a displacement of norm 1
