@@ -10,7 +10,7 @@ from scipy.sparse import kron
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask, unit
 from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
@@ -91,25 +91,20 @@ class ContactSurface:
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
         self.cell, self.facet, self._corners, outside = self._facets_of("secondary", touching)
         self._nodes = cells.facet_nodes[self.cell, self.facet]
-        normals = cells.normals[self.cell, self.facet]
-        if rigid:
-            self.normal = -pair.primary.at(np.zeros((1, 3)))[1][0, :d]
-        else:
-            total = reduce_array(comm, normals.sum(axis=0))
-            self.normal = total / np.linalg.norm(total)
+        self.normal = unit(reduce_array(comm, every.normals.sum(axis=0)))
         self._axes = np.eye(d) if self.bonded else self.normal[None]
         tractions = self._carried(self._nodal_tractions(dual, rows, multipliers, bounds))
-        held = prescribed[self._nodes].all(axis=(1, 2))
         cells.require(
-            not tractions[outside].any() and not held.any(),
-            "multipliers at all nodes of pressed facets, and facets that are not prescribed, and "
-            f"contact pair {pair} has pressed facets at a rim, or prescribed ones",
+            not tractions[outside].any(),
+            f"multipliers at all nodes of pressed facets, and contact pair {pair} has pressed "
+            "facets at a rim",
         )
         self.tractions = tractions[self._corners]
         self.sides = [(self.cell, self.facet, self.tractions)]
         if not rigid:
             cell, facet, corners, _ = self._facets_of("primary", touching)
-            turned = np.vstack([normals, -cells.normals[cell, facet]]) - self.normal
+            normals = [cells.normals[self.cell, self.facet], -cells.normals[cell, facet]]
+            turned = np.concatenate(normals) - self.normal
             unpaired = comm.allreduce(len(cell) - len(self.cell))
             cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), needed)
             self.sides.append((cell, facet, tractions[corners]))

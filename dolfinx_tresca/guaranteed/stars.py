@@ -87,10 +87,9 @@ class Stars:
         comm, owner = self._cells.V.mesh.comm, self._owner
         right, _ = exchange(comm, missing.reshape(len(owner), -1), owner)
         solution = self._factors.solve(right.ravel()).reshape(right.shape)
-        supports = np.empty(missing.shape)
-        supports.reshape(len(owner), -1)[np.argsort(owner, kind="stable")], _ = exchange(
-            comm, solution, self._senders
-        )
+        returned, _ = exchange(comm, solution, self._senders)
+        supports = np.empty_like(returned)
+        supports[np.argsort(owner, kind="stable")] = returned
         tractions = (supports.ravel() @ self._work).reshape(self._roots.shape[:2])
         index_map = self._cells.V.mesh.topology.index_map(self._cells.d - 1)
         return summed_at_nodes(index_map, np.arange(len(tractions)), tractions)[..., None]

@@ -313,8 +313,8 @@ class ContactProblem(ContactProcess):
         """Return proven bounds from both sides of a goal in the exact solution. Collective.
 
         For problems and exact solutions as in `guaranteed_error`, without friction that depends on
-        the pressure. Six to ten further problems are solved, with the load plus and minus a
-        multiple of the goal (docs/theory/guaranteed.md). Where contact does not change with the
+        the pressure. Eight further problems are solved, with the load plus and minus multiples of
+        the goal (docs/theory/guaranteed.md). Where contact does not change with the
         load, the width of the interval is about the product of the errors of the displacement and
         of the goal's adjoint; where contact changes, the interval is wider.
 
