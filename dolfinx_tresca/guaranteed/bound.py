@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-import dolfinx
 import ufl
 from dolfinx import fem
 
@@ -86,9 +85,8 @@ class Candidate:
     Attributes:
         surfaces: the contact surfaces, with admissible tractions.
         v: a displacement that does not penetrate.
-        loading: (n, d + 1, d + 1, d) loading of a stress in equilibrium with the load and the
-            tractions of `surfaces`.
-        oscillation: (n,) bounds of what the load does that `loading` does not balance.
+        loading: (n, d + 1, d + 1, d) loading that balances the load, and has these tractions.
+        oscillation: (n,) bounds of the work of the load that `loading` does not balance.
     """
 
     surfaces: list[ContactSurface]
@@ -117,8 +115,7 @@ class Bodies:
         compliance = np.linalg.pinv(self.stiffness, 1e-12, hermitian=True)
         self.energies = StressEnergies(cells, np.asarray(compliance))
         self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
-        exterior = dolfinx.mesh.exterior_facet_indices(self.V.mesh.topology)
-        inside = ~np.isin(cells.facets, exterior)[:, :, None]
+        inside = cells.sides[cells.facets, 0] == 2.0
         held = self.prescribed[cells.facet_nodes].all(axis=(2, 3)) & ~inside
         self.unknown = held | inside
         self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
@@ -147,9 +144,7 @@ class Bodies:
     ) -> Candidate:
         """Return the candidate of the load L; this takes one solve with K. Collective.
 
-        The tractions on the boundary are given, or follow from the multipliers (size,) of the dual
-        problem that was solved; others come from the displacement for these, and are corrected star
-        by star.
+        The multipliers (size,) are of the dual problem that was solved, for this or another load.
         """
         cells, d = self.cells, self.cells.d
         given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
@@ -195,8 +190,7 @@ class Bodies:
     def shorten(self, difference: Array, gain: float) -> None:
         """Add tractions without resultants that make a stress smaller, in place. Collective.
 
-        `difference` is its loading; the steps end if one lowers its norm by less than the part
-        `gain`.
+        `difference` is its loading. Steps end if one lowers its norm by less than the part `gain`.
         """
         descent = -self.energies.derivative(difference)
         square = -float(reduce_array(self.comm, (difference * descent).sum()))
@@ -219,10 +213,7 @@ class Bodies:
     def error(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, gain: float = GAIN
     ) -> GuaranteedError:
-        """Return a guaranteed bound of the error of a solution, with one solve with K. Collective.
-
-        The solution of the dual problem has multipliers (size,) and the displacement u.
-        """
+        """Return a bound of the error of a solution, with one solve with K. Collective."""
         candidate = self.candidate(dual, multipliers, u, self.linear.ufl_forms[1])
         of_u, of_v = self.loading_of(u), self.loading_of(candidate.v)
         defects = self.defects(candidate.surfaces, candidate.v)
@@ -325,11 +316,9 @@ class Functional:
     ) -> GuaranteedGoal:
         """Return an interval that contains the value in the exact solution. Collective.
 
-        For all t > 0, all admissible stresses s in equilibrium with the load L + t J, and all v
-        that do not penetrate, J(u*) - J(v) <= (|s - s(v)|^2 / 4 + G) / t, with the integral G of
-        what both lack of the law of contact; v is taken from the load L - t J
-        (docs/theory/guaranteed.md). With a small t the errors count much, with a large one contact
-        changes, and G is large.
+        For all t > 0, J(u*) - J(v) <= (|s - s(v)|^2 / 4 + G) / t with s of the load L + t J, and v
+        of L - t J. With a small t the errors count much, with a large one contact changes, and the
+        defects G are large.
 
         The collective function `candidate_at` returns the candidate with the load L + t J; if the
         goal is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.

@@ -30,8 +30,7 @@ from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function; and the latter for the quadratic part of w on F, its projection onto
-#: quadratic functions that are orthogonal to linear ones. Their proof is in
+#: nearest linear function; and the latter for the quadratic part of w on F. Their proof is in
 #: docs/theory/guaranteed.md, and tests/guaranteed/test_constants.py computes them.
 POINCARE = {2: 0.540, 3: 0.768}
 TRACE = {2: 1.522, 3: 4.473}
@@ -40,11 +39,7 @@ QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 
 @cache
 def mean_products(corners: int, factors: int) -> Array:
-    """Return the means over a simplex of products of barycentric coordinates.
-
-    The result has `factors` axes of length `corners`; its entry (i, j, ...) is the mean of lambda_i
-    lambda_j ...
-    """
+    """Return the means (corners, corners, ...) of products of barycentric coordinates."""
     result = np.empty((corners,) * factors)
     scale = factorial(corners - 1) / factorial(corners - 1 + factors)
     for index in np.ndindex(*result.shape):
@@ -59,9 +54,8 @@ def pair_means(values: Array) -> Array:
 
 
 def bernstein(values: Array) -> Array:
-    """Return Bernstein's coefficients C (..., k, k, c) of quadratic functions on simplices.
+    """Return Bernstein's coefficients C (..., k, k, c) of functions C_ij lambda_i lambda_j.
 
-    A function is the sum of C_ij lambda_i lambda_j, and between its least and largest coefficient.
     The mean of values (i, j) and (j, i) is that in the middle between the vertices i and j.
     """
     corners = np.einsum("...iic->...ic", values)
@@ -72,10 +66,8 @@ def bernstein(values: Array) -> Array:
 def lagrange(corners: int) -> tuple[Array, Array, Array]:
     """Return Lagrange's basis of degree 2 on a simplex, with a node for each two vertices i <= j.
 
-    Returns:
-        the barycentric coordinates (k, corners) of the nodes, in the order of `triu_indices`;
-        `bernstein`'s coefficients (corners, corners, k) of the basis; and the means (k, k) of
-        products of two basis functions.
+    The result has the nodes' barycentric coordinates (k, corners), in the order of `triu_indices`,
+    `bernstein`'s coefficients (corners, corners, k), and means (k, k) of two functions' products.
     """
     i, j = np.triu_indices(corners)
     values = np.zeros((corners, corners, len(i)))
@@ -127,19 +119,13 @@ class Simplices:
         self.normals = -self.gradients * self.heights[:, :, None]
 
     def terms(self, loading: Array) -> Iterator[tuple[Indices, Array, Array]]:
-        """Yield vertices (k,), sizes (n,) and a view (n, k, d) of each term of a loading.
-
-        They are those of the cells, then of each facet.
-        """
+        """Yield vertices (k,), sizes (n,) and a view (n, k, d) of the load, then on each facet."""
         yield np.arange(self.d + 1), self.volumes, loading[:, :, self.d]
         for j, vertices in enumerate(opposite(self.d)):
             yield vertices, self.areas[:, j], loading[:, j, : self.d]
 
     def resultants(self, loading: Array) -> Array:
-        """Return forces (n, d + 1, d) at vertices that do the work of a loading there.
-
-        Their work on a linear displacement is that of its values at the vertices.
-        """
+        """Return forces (n, d + 1, d) at vertices with a loading's work on linear displacements."""
         result = np.zeros_like(self.points)
         for vertices, sizes, values in self.terms(loading):
             means = mean_products(len(vertices), 2) @ values
@@ -149,10 +135,9 @@ class Simplices:
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
 
-        w is any displacement minus its nearest linear function. The constants of the simplex of
-        `POINCARE` grow with s^2 / t [length], where s and t are the largest and the least singular
-        value of the affine map from it. Its columns are the edges of a path through all vertices.
-        Each path gives a bound; the shortest is taken.
+        Displacements w are those minus their nearest linear function. `POINCARE` grows with s^2 / t
+        [length], where s and t are the largest and the least singular value of the affine map. Its
+        columns are the edges of a path through all vertices; the shortest is taken.
         """
         paths = list(permutations(range(self.d + 1)))
         steps = np.diff(self.points[:, paths], axis=2)
@@ -181,16 +166,12 @@ def _regular_frame(d: int) -> Array:
 def stress_products(d: int) -> Array:
     """Return products of stresses of the stress element on the regular simplex of edge length 1.
 
-    The simplex is divided by its centroid into d + 1 subcells, as in the element of Johnson and
-    Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the centroid
-    in place of vertex i. Here stresses are symmetric, quadratic in each subcell, and have
-    continuous tractions between subcells. For each loading in equilibrium there is such a stress;
-    of all, that of the least norm is taken. It depends linearly on the loading, and reproduces
-    linear stresses.
+    Subcell i of Johnson and Mercier (1978) has the centroid in place of vertex i. Stresses are
+    symmetric, quadratic in each subcell, and have continuous tractions between subcells. For each
+    loading in equilibrium that of the least norm is taken, which is linear in the loading.
 
-    Returns:
-        (d * d, d * d, m, m) means over the simplex of products of two components of stresses. The m
-        data are the entries of the loading, with tractions S grad lambda_j of the stress S.
+    The result (d * d, d * d, m, m) has means over the simplex of products of two components. The m
+    data are the entries of the loading, with tractions S grad lambda_j of the stress S.
     """
     n, (places, shapes, means) = d + 1, lagrange(d + 1)
     size = len(places)
@@ -227,9 +208,9 @@ def stress_products(d: int) -> Array:
 
 
 class StressEnergies:
-    """Squared norms of the stresses of the element, as quadratic functions of their loadings.
+    """Squared norms of the stresses of the element as quadratic functions of their loadings.
 
-    The loadings must be in equilibrium. A squared norm is twice the complementary energy.
+    A squared norm is twice the complementary energy, and a loading must be in equilibrium.
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
@@ -280,6 +261,7 @@ class MeshCells(Simplices):
             for degree 1 at vertex i, for degree 2 in the middle between the vertices i and j.
         facet_nodes: (n, d + 1, d, d) the nodes of V on each facet, as in `nodes`.
         signs: (n, d + 1, 1, 1) 1 on one side of each facet and -1 on the other one.
+        sides: (facets, 1, 1) the number of cells at each facet of this rank.
     """
 
     def __init__(self, V: Any) -> None:
@@ -309,10 +291,11 @@ class MeshCells(Simplices):
         self.nodes = V.dofmap.list[cell[:, None], nodes]
         self.quadratics, (i, j) = fem.functionspace(mesh, ("DG", 2, (d,))), np.triu_indices(d + 1)
         self.dofs = self.quadratics.dofmap.list[cell, pairs[:, i, j]]
-        sides = opposite(d)
-        self.facet_nodes = self.nodes[:, sides[:, :, None], sides[:, None]]
+        facing = opposite(d)
+        self.facet_nodes = self.nodes[:, facing[:, :, None], facing[:, None]]
         turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]
         self.signs = np.sign(turns)[:, :, None, None]
+        self.sides = self.facet_sums(np.ones_like(self.signs))
 
     def facet_sums(self, values: Array) -> Array:
         """Return the sums (facets, a, b) over both sides of values (n, d + 1, a, b). Collective."""

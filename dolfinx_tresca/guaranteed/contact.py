@@ -55,8 +55,7 @@ class ContactSurface:
     ) -> None:
         """Interpolate multipliers (size,) of a pair between nodes. Collective.
 
-        There are slip bounds (nodes of all pairs,) [stress], and prescribed degrees of freedom
-        (nodes of this rank, d).
+        Slip bounds (nodes of all pairs,) [stress] and prescribed (nodes of this rank, d) are given.
         """
         rows = dual.jump.by_pair[number]
         group = rows.operators.undeformed.group
@@ -110,11 +109,7 @@ class ContactSurface:
             self.sides.append((cell, facet, tractions[corners]))
 
     def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
-        """Return the facets of a side whose vertices all touch.
-
-        Returns:
-            their cells (m,), numbers (m,) and vertices (m, d), and the vertices of other facets.
-        """
+        """Return cells, numbers and vertices (m, d) of facets that touch; vertices of others."""
         tags, numbers = self.pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._cells.facets, facets))
@@ -127,7 +122,7 @@ class ContactSurface:
     ) -> Array:
         """Return admissible tractions (nodes, d), and set the data of the law. Collective.
 
-        Nodes whose multipliers lack components, which are prescribed, have means of neighbours.
+        Nodes whose multipliers lack components have means of their neighbours.
         """
         V, pair, d = self._cells.V, rows.operators, self._cells.d
         stress = rows.nodal_vectors(multipliers * dual.jump.stress_scale)
@@ -169,10 +164,7 @@ class ContactSurface:
         return values - self._at_nodes(facing.array.reshape(-1, values.shape[1]))
 
     def _carried(self, values: Array) -> Array:
-        """Return values (nodes, d) of `nodes`, and opposite ones at partners: transposed jumps.
-
-        Collective.
-        """
+        """Return values (nodes, d) of `nodes`, and opposite ones at partners. Collective."""
         unknowns, facing = self._opposite.createVecs()
         facing.array = values[self.nodes].ravel()
         self._opposite.multTranspose(facing, unknowns)
@@ -180,10 +172,7 @@ class ContactSurface:
         return self._at_nodes(values[self.nodes]) - opposites
 
     def _coefficients(self, values: Array) -> Array:
-        """Return Bernstein's coefficients (m, d, d, d) of jumps on the secondary facets.
-
-        Collective.
-        """
+        """Return Bernstein's coefficients (m, d, d, d) of jumps on facets. Collective."""
         return bernstein(self._jumps(values)[self._nodes])
 
     def lift(self, v: fem.Function) -> None:

@@ -12,8 +12,7 @@ from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca.guaranteed.cells import QUADRATIC_TRACE, TRACE, MeshCells, lagrange
 from dolfinx_tresca.stiffness.forms import has_stresses
 
-#: Variation of a stiffness inside a cell, and energy of a rotation, relative to the stiffness, that
-#: count as rounding.
+#: Forces that a constant stiffness does not explain, relative to it, that count as rounding.
 STIFFNESS_ROUNDING = 1e-9
 
 #: Difference of the cosine of two unit normals from 1 that counts as rounding.
@@ -35,8 +34,7 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
     slope = fem.Constant(mesh, np.zeros((d, d)))
-    linear = slope * ufl.SpatialCoordinate(mesh)
-    changes = {trial: linear, test: ufl.TestFunction(cells.quadratics)}
+    changes = {trial: slope * ufl.SpatialCoordinate(mesh), test: ufl.TestFunction(cells.quadratics)}
     work = fem.form(ufl.replace(a, changes), entity_maps=maps)
     results = []
     for gradient in np.eye(d * d).reshape(-1, d, d):
@@ -74,13 +72,9 @@ def loads(
 ) -> tuple[Array, Array]:
     """Return the linear projections of the loads of a form, and their distances. Collective.
 
-    Projections have the degree that UFL estimates, and are exact for polynomials; distances from
-    them are exact for polynomials of degree up to 5, see `SQUARES`. The difference of a load and
-    its projection is split into a quadratic function and a remainder: quadratic tractions do less
-    work (`largest_work`).
-
     `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
-    relative to the energy norm: in the cell, and on each facet.
+    relative to the energy norm: in the cell, and on each facet. Projections have the degree that
+    UFL estimates, and are exact for polynomials.
 
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
@@ -124,8 +118,7 @@ def loads(
         )
         for number in numbers:
             vertices, sizes, load = terms[number]
-            if number > 0:
-                normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
+            normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
             linear, _, means = lagrange(len(vertices))
             basis_dofs = cells.dofs[:, lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0]
             moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]

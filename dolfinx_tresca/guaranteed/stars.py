@@ -19,13 +19,12 @@ class Stars:
     """The stars of vertices: for each vertex the cells around it.
 
     A star balances the forces that are missing at its vertex, cell by cell in force and moment, by
-    tractions on the facets at the vertex (docs/theory/guaranteed.md). The stiffness of a facet is
-    the sum of those of its two sides, the same in the stars of its d vertices.
+    the least tractions on the facets at the vertex (docs/theory/guaranteed.md). The energy of
+    `_roots` times numbers (facets, d * d, 1) is the numbers' squared length, and `_work` times them
+    is the work on the rigid motions about each vertex of each cell.
 
-    Tractions are on this rank's facets, ghosts included; loadings are of the cells it owns. With
-    the matrices `_roots` of facets tractions have an energy that is their squared length, and
-    `_work` has their work on the rigid motions about each vertex of each cell. The rank that owns a
-    vertex solves the equations of its star.
+    Tractions are on this rank's facets, ghosts included; loadings are of the cells it owns. The
+    rank that owns a vertex solves the equations of its star.
     """
 
     def __init__(self, cells: MeshCells, stiffness: Array, free: Mask) -> None:
@@ -36,7 +35,6 @@ class Stars:
         """
         d, comm, topology = cells.d, cells.V.mesh.comm, cells.V.mesh.topology
         self._cells, (n, corners) = cells, cells.facets.shape
-        self._sides = cells.facet_sums(np.ones((n, corners, 1, 1)))
         sums = cells.facet_sums(stiffness)
         unknown = np.tile(cells.facet_sums(free[:, :, None].astype(np.float64)) > 0.0, d)
         both = np.swapaxes(unknown, 1, 2) & unknown
@@ -97,9 +95,8 @@ class Stars:
     def preconditioned(self, gradient: Array) -> Array:
         """Return a loading without resultants that decreases a quadratic function. Collective.
 
-        It is the sum of the best corrections of all stars, with the stiffnesses of facets in place
-        of the second derivative; `gradient` (n, d + 1, d + 1, d) is minus the derivative by the
-        loading.
+        It is the sum of the best corrections of all stars; `gradient` (n, d + 1, d + 1, d) is minus
+        the derivative by the loading.
         """
         cells, d = self._cells, self._cells.d
         forces = cells.facet_sums(cells.signs * gradient[:, :, :d]).reshape(-1, d * d, 1)
@@ -114,7 +111,7 @@ class Stars:
         corrections of all stars. `stress` is the loading of a stress in discrete equilibrium.
         """
         cells, d = self._cells, self._cells.d
-        result = cells.on_sides(cells.facet_sums(cells.signs * loading[:, :, :d]) / self._sides)
+        result = cells.on_sides(cells.facet_sums(cells.signs * loading[:, :, :d]) / cells.sides)
         result[:, :, d] = loading[:, :, d]
         # a force at the vertex itself has no moment about it
         moments = (0, 0), (0, 0), (0, d * (d - 1) // 2)
