@@ -58,6 +58,7 @@ class ContactSurface:
         Slip bounds (nodes of all pairs,) [stress] and prescribed (nodes of this rank, d) are given.
         """
         rows = dual.jump.by_pair[number]
+        bounds = bounds[rows.nodes]
         group = rows.operators.undeformed.group
         member = group.numbers.index(number)
         self.pair = pair = group.pairs[member]
@@ -72,19 +73,17 @@ class ContactSurface:
             "gap between surfaces of different laws"
         )
         alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
-        alike &= self.bonded or bool(np.isfinite(bounds[rows.nodes]).all())
+        alike &= bool((rows.operators.semi_axes == 1.0).all() and np.isfinite(bounds).all())
         every = _with_all_nodes(V, pair)
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
         nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()
-        alike &= (rows.operators.semi_axes == 1.0).all()
         cells.require(alike and (rigid or nodewise), needed)
         self.nodes = every.nodes
         opposite_nodes = kron(every.primary, np.eye(d), format="csr")  # none of a plane
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
-        gaps = np.zeros(len(self.nodes)) if self.bonded else every.distance
-        if pair.gap is not None and not self.bonded:
-            name = f"the gap of contact pair {pair}"
-            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self.nodes, name)
+        gaps = every.distance
+        if pair.gap is not None:
+            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self.nodes, "the gap")
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
@@ -127,10 +126,9 @@ class ContactSurface:
         V, pair, d = self._cells.V, rows.operators, self._cells.d
         stress = rows.nodal_vectors(multipliers * dual.jump.stress_scale)
         origin = rows.nodal_vectors((dual.offset - dual.jump.gap) * dual.jump.length_scale)
-        bound = np.zeros(len(pair.nodes)) if self.bonded else bounds[rows.nodes]
         components = 1 if isinstance(self.pair.friction, Frictionless) else d
         has_all = np.bincount(pair.row_node, minlength=len(pair.nodes)) == components
-        columns = np.column_stack([stress[:, 0], bound, -stress[:, 1:], origin[:, 1:], has_all])
+        columns = np.column_stack([stress[:, 0], bounds, -stress[:, 1:], origin[:, 1:], has_all])
         values = np.zeros((V.dofmap.index_map.size_local, columns.shape[1]))
         values[pair.nodes] = has_all[:, None] * columns
         table = self._cells.spread(values)

@@ -130,9 +130,6 @@ def loads(
             values -= linear @ projection
             load += projection  # a view of the loading
             quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
-            # the factor R_F of a traction that is orthogonal to linear functions is too large for
-            # its quadratic part, whose factor is Q_F = R_F cos(theta_F): docs/theory/guaranteed.md
-            angle = np.arccos(ratio) - np.arctan2(remainder, quadratic)
-            work = np.hypot(quadratic, remainder) * np.cos(np.maximum(angle, 0.0))
+            work = np.minimum(np.hypot(quadratic, remainder), ratio * quadratic + remainder)
             oscillation += factors[:, number] * work
     return loading, oscillation
