@@ -34,14 +34,9 @@ class ContactSurface:
     """The secondary surface of a pair, with tractions that are linear between nodes.
 
     Attributes:
-        pair: the contact pair.
-        nodes: (n,) the vertices of this rank that face the primary side, prescribed ones included.
-        normal: (d,) the contact normal: of the secondary side, or towards the rigid plane.
         cell: (m,) the cells of the secondary facets.
-        facet: (m,) the numbers of these facets in their cells.
-        tractions: (m, d, d) tractions on the secondary facets at their vertices [stress].
-        sides: cells (m,), numbers of facets (m,) and tractions (m, d, d) of the secondary side, and
-            of the primary side if it is a body.
+        sides: cells (m,), numbers of facets (m,) and tractions at their vertices (m, d, d) [stress]
+            of the secondary side, and of the primary side if it is a body.
     """
 
     def __init__(
@@ -61,9 +56,9 @@ class ContactSurface:
         bounds = bounds[rows.nodes]
         group = rows.operators.undeformed.group
         member = group.numbers.index(number)
-        self.pair = pair = group.pairs[member]
+        self._pair = pair = group.pairs[member]
         self._cells, self._free = cells, ~prescribed
-        self.bonded = isinstance(pair.friction, Bonded)
+        self._bonded = isinstance(pair.friction, Bonded)
         V, d, comm = cells.V, cells.d, cells.V.mesh.comm
         rigid = isinstance(pair.primary, RigidPlane)
         needed = (
@@ -78,38 +73,35 @@ class ContactSurface:
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
         nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()
         cells.require(alike and (rigid or nodewise), needed)
-        self.nodes = every.nodes
+        self._facing = every.nodes  # the primary side, prescribed ones included
         opposite_nodes = kron(every.primary, np.eye(d), format="csr")  # none of a plane
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
         gaps = every.distance
         if pair.gap is not None:
-            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self.nodes, "the gap")
+            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self._facing, "the gap")
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
-        self.cell, self.facet, self._corners, outside = self._facets_of("secondary", touching)
-        self._nodes = cells.facet_nodes[self.cell, self.facet]
-        self.normal = unit(reduce_array(comm, every.normals.sum(axis=0)))
-        self._axes = np.eye(d) if self.bonded else self.normal[None]
+        self.cell, self._facet, self._corners, outside = self._facets_of("secondary", touching)
+        self._nodes = cells.facet_nodes[self.cell, self._facet]
+        self._normal = unit(reduce_array(comm, every.normals.sum(axis=0)))
+        self._axes = np.eye(d) if self._bonded else self._normal[None]
         tractions = self._carried(self._nodal_tractions(dual, rows, multipliers, bounds))
-        cells.require(
-            not tractions[outside].any(),
-            f"multipliers at all nodes of pressed facets, and contact pair {pair} has pressed "
-            "facets at a rim",
-        )
-        self.tractions = tractions[self._corners]
-        self.sides = [(self.cell, self.facet, self.tractions)]
+        rim = f"multipliers at all nodes of pressed facets, unlike those at a rim of pair {pair}"
+        cells.require(not tractions[outside].any(), rim)
+        self._tractions = tractions[self._corners]
+        self.sides = [(self.cell, self._facet, self._tractions)]
         if not rigid:
             cell, facet, corners, _ = self._facets_of("primary", touching)
-            normals = [cells.normals[self.cell, self.facet], -cells.normals[cell, facet]]
-            turned = np.concatenate(normals) - self.normal
+            normals = [cells.normals[self.cell, self._facet], -cells.normals[cell, facet]]
+            turned = np.concatenate(normals) - self._normal
             unpaired = comm.allreduce(len(cell) - len(self.cell))
             cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), needed)
             self.sides.append((cell, facet, tractions[corners]))
 
     def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
         """Return cells, numbers and vertices (m, d) of facets that touch; vertices of others."""
-        tags, numbers = self.pair.given_tags(side)
+        tags, numbers = self._pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._cells.facets, facets))
         vertices = np.einsum("mkk->mk", self._cells.facet_nodes[cell, facet])
@@ -126,7 +118,7 @@ class ContactSurface:
         V, pair, d = self._cells.V, rows.operators, self._cells.d
         stress = rows.nodal_vectors(multipliers * dual.jump.stress_scale)
         origin = rows.nodal_vectors((dual.offset - dual.jump.gap) * dual.jump.length_scale)
-        components = 1 if isinstance(self.pair.friction, Frictionless) else d
+        components = 1 if isinstance(self._pair.friction, Frictionless) else d
         has_all = np.bincount(pair.row_node, minlength=len(pair.nodes)) == components
         columns = np.column_stack([stress[:, 0], bounds, -stress[:, 1:], origin[:, 1:], has_all])
         values = np.zeros((V.dofmap.index_map.size_local, columns.shape[1]))
@@ -138,20 +130,20 @@ class ContactSurface:
         table /= np.maximum(table[:, -1:], 1.0)
 
         pressure, self._bounds, vectors = table[:, :1], table[:, 1], table[:, 2:-1]
-        across = np.eye(d) - np.outer(self.normal, self.normal)
+        across = np.eye(d) - np.outer(self._normal, self._normal)
         friction, self._origins = vectors[:, :d] @ across, vectors[:, d:] @ across
-        if not self.bonded:
+        if not self._bonded:
             pressure = np.maximum(pressure, 0.0)
             sizes = np.linalg.norm(friction, axis=1)
             share = np.minimum(1.0, self._bounds / np.maximum(sizes, LEAST_DIVISOR))
             friction *= share[:, None]
-        self._pressed = self.bonded | (pressure[:, 0] > 0.0)
-        return np.asarray(friction - pressure * self.normal)
+        self._pressed = self._bonded | (pressure[:, 0] > 0.0)
+        return np.asarray(friction - pressure * self._normal)
 
     def _at_nodes(self, values: Array) -> Array:
         """Return values (nodes, k) that are given (n, k) at `nodes`, zero elsewhere. Collective."""
         result = np.zeros((self._cells.V.dofmap.index_map.size_local, values.shape[1]))
-        result[self.nodes] = values
+        result[self._facing] = values
         return self._cells.spread(result)
 
     def _jumps(self, values: Array) -> Array:
@@ -164,10 +156,10 @@ class ContactSurface:
     def _carried(self, values: Array) -> Array:
         """Return values (nodes, d) of `nodes`, and opposite ones at partners. Collective."""
         unknowns, facing = self._opposite.createVecs()
-        facing.array = values[self.nodes].ravel()
+        facing.array = values[self._facing].ravel()
         self._opposite.multTranspose(facing, unknowns)
         opposites = self._cells.spread(unknowns.array.reshape(-1, values.shape[1]))
-        return self._at_nodes(values[self.nodes]) - opposites
+        return self._at_nodes(values[self._facing]) - opposites
 
     def _coefficients(self, values: Array) -> Array:
         """Return Bernstein's coefficients (m, d, d, d) of jumps on facets. Collective."""
@@ -212,25 +204,21 @@ class ContactSurface:
             InputError: v penetrates, or has jumps of bonded surfaces.
         """
         jumps = self._coefficients(v.x.array.reshape(-1, self._cells.d))
-        closing, pressure = jumps @ self.normal, -self.tractions @ self.normal
-        friction = self.tractions + pressure[:, :, None] * self.normal
+        closing, pressure = jumps @ self._normal, -self._tractions @ self._normal
+        friction = self._tractions + pressure[:, :, None] * self._normal
         openings = pair_means(self._gaps[self._corners])[..., 0] - closing
-        slips = jumps - closing[..., None] * self.normal
+        slips = jumps - closing[..., None] * self._normal
         slips -= pair_means(self._origins[self._corners])
-        areas = self._cells.areas[self.cell, self.facet]
+        areas = self._cells.areas[self.cell, self._facet]
         products = areas[:, None, None, None] * mean_products(self._cells.d, 3)
         bounds, sizes = self._bounds[self._corners], np.linalg.norm(slips, axis=3)
         complementarity = np.einsum("mk,mkij,mij->m", pressure, products, openings)
         lack = np.einsum("mk,mkij,mij->m", bounds, products, sizes)
         lack += np.einsum("mkd,mkij,mijd->m", friction, products, slips)
-        depth, size = largest_sizes(
-            self._cells.V.mesh.comm, jumps if self.bonded else np.minimum(openings, 0.0), v.x.array
-        )
-        self._cells.require(
-            depth <= PENETRATION * size,
-            "an exact solution, and prescribed displacements penetrate at contact pair "
-            f"{self.pair}",
-        )
+        depths = jumps if self._bonded else np.minimum(openings, 0.0)
+        deepest, size = largest_sizes(self._cells.V.mesh.comm, depths, v.x.array)
+        needed = f"prescribed displacements that do not penetrate, unlike those of {self._pair}"
+        self._cells.require(deepest <= PENETRATION * size, needed)
         return np.stack([complementarity, lack], axis=1)
 
 
