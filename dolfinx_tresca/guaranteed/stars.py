@@ -47,9 +47,10 @@ class Stars:
         work = mean_products(d, 2) @ rigid_motions(arms)
         work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None]
         facets, size = cells.facets[:, near], work.shape[3]
-        blocks = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
+        work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
+        starts = np.arange(0, facets.size + 1, d, dtype=np.int32)
         self._work = bsr_array(
-            (blocks.reshape(-1, size, d * d), facets.ravel(), np.arange(0, facets.size + 1, d)),
+            (work.reshape(-1, size, d * d), facets.ravel(), starts),
             shape=(size * n * corners, d * d * len(sums)),
         ).tocsr()
 
@@ -57,21 +58,23 @@ class Stars:
         place = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
         index_map = topology.index_map(d - 1)
         columns = index_map.local_to_global(facets.ravel()).reshape(facets.shape) * d + place
-        starts = comm.allgather(topology.index_map(0).local_range[0])
-        self._owner = np.searchsorted(starts, cells.vertices.ravel(), side="right") - 1
+        firsts = comm.allgather(topology.index_map(0).local_range[0])
+        self._owner = np.searchsorted(firsts, cells.vertices.ravel(), side="right") - 1
         columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
-        blocks, _ = exchange(comm, blocks.reshape(n * corners, -1), self._owner)
+        work, _ = exchange(comm, work.reshape(n * corners, -1), self._owner)
         with errors_on_all_ranks(comm):
-            columns = np.unique(columns.ravel(), return_inverse=True)[1]
+            columns = np.unique(columns.ravel(), return_inverse=True)[1].astype(np.int32)
+            starts = np.arange(0, columns.size + 1, d, dtype=np.int32)
             rows = bsr_array(
-                (blocks.reshape(-1, size, d * d), columns, np.arange(0, columns.size + 1, d)),
-                shape=(size * len(blocks), d * d * columns.size),
+                (work.reshape(-1, size, d * d), columns, starts),
+                shape=(size * len(work), d * d * columns.size),
             )
-            equations = rows @ rows.T
+            equations = (rows @ rows.T).tocsc()
             diagonal = equations.diagonal()
-            equations += diags_array(np.where(diagonal > 0.0, LOOSE * diagonal, 1.0))
+            diagonal = np.where(diagonal > 0.0, LOOSE * diagonal, 1.0)
+            equations += diags_array(diagonal, format="csc")
             self._factors = splu(
-                equations.tocsc(),
+                equations,
                 permc_spec="MMD_AT_PLUS_A",
                 diag_pivot_thresh=0.0,
                 options={"SymmetricMode": True},
