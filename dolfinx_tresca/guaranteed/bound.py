@@ -112,6 +112,7 @@ class Bodies:
             "some motion",
         )
         self.stiffness, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
+        # rotations have no stiffness, up to rounding
         compliance = np.linalg.pinv(self.stiffness, 1e-12, hermitian=True)
         self.energies = StressEnergies(cells, np.asarray(compliance))
         self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
@@ -327,7 +328,7 @@ class Functional:
         of_w = bodies.loading_of(self.w) if self.is_force else 0.0
 
         def limits_at(t: float) -> Array:
-            """Return upper limits (2,) of J and -J; their sum is the width of the interval."""
+            """Return upper limits (2,) of J and -J. Collective."""
             candidates, result = {sign: candidate_at(sign * t) for sign in (1.0, -1.0)}, []
             for sign, candidate in candidates.items():
                 v = candidates[-sign].v

@@ -40,11 +40,10 @@ QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 @cache
 def mean_products(corners: int, factors: int) -> Array:
     """Return the means (corners, corners, ...) of products of barycentric coordinates."""
-    result = np.empty((corners,) * factors)
-    scale = factorial(corners - 1) / factorial(corners - 1 + factors)
-    for index in np.ndindex(*result.shape):
-        powers = np.bincount(index, minlength=corners)
-        result[index] = scale * np.prod([factorial(int(power)) for power in powers])
+    index = np.indices((corners,) * factors)
+    result = np.full(index.shape[1:], factorial(corners - 1) / factorial(corners - 1 + factors))
+    for k in range(1, factors):  # the factorial of each power
+        result *= 1.0 + (index[:k] == index[k]).sum(axis=0)
     return result
 
 
