@@ -5,17 +5,11 @@ loads bounds its error. Such a stress is built cell by cell on simplices, from t
 that are in equilibrium around each vertex; what contact and curved loads lack is added.
 
 - `Simplices`, `MeshCells`: shapes and constants of cells; those of a rank.
-- The *loading* of a cell: linear tractions on its facets, and a linear load in it.
-- `StressEnergies`: stresses in equilibrium with a loading.
+- The *loading* of a cell: linear tractions on its facets, and a linear load in it. It stands for a
+  stress in equilibrium with it, whose norm `StressEnergies` has.
 - A *star* is the cells around a vertex; `Stars` finds tractions in equilibrium on its facets.
 - `ContactSurface`: admissible tractions of a pair, and what they lack of the law of contact.
-- `GuaranteedError`: the bound, with its terms.
-
-| symbol | name in the code | meaning |
-|---|---|---|
-| s, s(u) | `stress` | stress in equilibrium; stress of the displacement |
-| d | `Simplices.d` | dimension of space |
-| v | `ContactSurface.lift` | a displacement near u that does not penetrate |
+- A *candidate* is a loading, and a displacement v that does not penetrate.
 
 Read first: `bound.Bodies.error`, `bound.Bodies.candidate`, `stars.Stars`.
 """

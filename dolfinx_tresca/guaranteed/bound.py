@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import sqrt
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 
-import dolfinx
 import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.functions import assembled, zero_like
-from dolfinx_tresca._base.parallel import reduce_array
+from dolfinx_tresca._base.functions import assembled, owned_values, zero_like
+from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.guaranteed.cells import MeshCells, StressEnergies, rigid_motions
+from dolfinx_tresca.guaranteed.cells import MeshCells, StressEnergies, bernstein, rigid_motions
 from dolfinx_tresca.guaranteed.contact import ContactSurface
 from dolfinx_tresca.guaranteed.forms import elasticity, loads
 from dolfinx_tresca.guaranteed.stars import Stars
@@ -30,16 +28,13 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 #: not in equilibrium: a force at a point, or a failed solve.
 IMBALANCE = 1e-7
 
-#: Penetration relative to the largest displacement that counts as rounding.
-PENETRATION = 1e-10
-
 #: Part of the bound by which a step of the conjugate gradient method must lower it, or the steps
 #: end. With half of it the bound is 2 % smaller, for up to one and a half times as many steps.
 GAIN = 0.02
 
-#: Factor by which the size of the change of the load is varied as long as the interval shrinks, and
-#: largest power of it.
-STEP, LARGEST_POWER = 4.0, 3
+#: Multiples of the size of the change of the load that is as large as the load. Where contact
+#: changes, smaller ones give narrower intervals.
+MULTIPLES = (0.0625, 0.25, 1.0, 4.0)
 
 
 @dataclass(frozen=True)
@@ -90,9 +85,8 @@ class Candidate:
     Attributes:
         surfaces: the contact surfaces, with admissible tractions.
         v: a displacement that does not penetrate.
-        loading: (n, d + 1, d + 1, d) loading of a stress in equilibrium with the load and the
-            tractions of `surfaces`.
-        oscillation: (n,) bounds of what the load does that `loading` does not balance.
+        loading: (n, d + 1, d + 1, d) loading that balances the load, and has these tractions.
+        oscillation: (n,) bounds of the work of the load that `loading` does not balance.
     """
 
     surfaces: list[ContactSurface]
@@ -107,7 +101,7 @@ class Bodies:
     def __init__(self, linear: LinearSystem, dual: DualProgram) -> None:
         """Check what the bound covers, and factor the equations of all stars. Collective."""
         self.linear, self.V, self.comm = linear, linear.V, linear.comm
-        self.cells = cells = MeshCells.from_space(self.V)
+        self.cells = cells = MeshCells(self.V)
         cells.require(
             linear.component is None and not linear.axisymmetric,
             "displacements in a plane or in space, not mixed spaces or revolution",
@@ -117,31 +111,32 @@ class Bodies:
             "Dirichlet conditions that hold each body; here contact alone holds a body against "
             "some motion",
         )
-        self.stiffness = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
-        self.energies = StressEnergies(cells, np.asarray(np.linalg.inv(self.stiffness)))
+        self.stiffness, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
+        # rotations have no stiffness, up to rounding
+        compliance = np.linalg.pinv(self.stiffness, 1e-12, hermitian=True)
+        self.energies = StressEnergies(cells, np.asarray(compliance))
         self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
-        exterior = dolfinx.mesh.exterior_facet_indices(self.V.mesh.topology)
-        inside = ~np.isin(cells.facets, exterior)[:, :, None]
+        inside = cells.sides[cells.facets, 0] == 2.0
         held = self.prescribed[cells.facet_nodes].all(axis=(2, 3)) & ~inside
         self.unknown = held | inside
         self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
-        # facets that are held take any load
-        traces = cells.trace_factors * ~held.all(axis=2)
-        factors = np.hstack([cells.poincare_factors[:, None], traces])
-        self.factors = factors / np.sqrt(np.linalg.eigvalsh(self.stiffness)[:, :1])
+        self.factors = cells.load_factors() / np.sqrt(least)[:, None]
+        self.factors[:, 1:] *= ~held.all(axis=2)  # facets that are held take any load
 
     def loading_of(self, w: fem.Function) -> Array:
         """Return the loading of the stress of a displacement."""
-        return self.cells.loading_of(self.cells.stresses(w, self.stiffness))
+        cells, (n, corners, d) = self.cells, self.cells.points.shape
+        coefficients = bernstein(w.x.array.reshape(-1, d)[cells.nodes])
+        slopes = 2.0 * np.swapaxes(coefficients, 2, 3) @ cells.gradients[:, None]
+        stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
+        return cells.loading_of(stresses.reshape(slopes.shape))
 
-    def response(
-        self, dual: DualProgram, forces: fem.Function, u: fem.Function, rtol: float
-    ) -> fem.Function:
-        """Return the displacement that forces cause beyond u, with one solve with K. Collective."""
-        result = zero_like(u, "response")
-        residual = self.linear.residual_of(forces.x.petsc_vec, u.x.petsc_vec)
-        dual.compliance.solver.improve(residual, result.x.petsc_vec, rtol=rtol, accuracy=0.0)
-        residual.destroy()
+    def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:
+        """Return the displacement that forces alone cause, with one solve with K. Collective."""
+        result, free = zero_like(forces, "response"), forces.copy()
+        owned_values(free)[self.linear.prescribed.reshape(-1, self.cells.d)] = 0.0
+        vectors = free.x.petsc_vec, result.x.petsc_vec
+        dual.compliance.solver.improve(*vectors, rtol=rtol, accuracy=0.0)
         result.x.scatter_forward()
         return result
 
@@ -150,9 +145,7 @@ class Bodies:
     ) -> Candidate:
         """Return the candidate of the load L; this takes one solve with K. Collective.
 
-        The tractions on the boundary are given, or follow from the multipliers (size,) of the dual
-        problem that was solved; others come from the displacement for these, and are corrected star
-        by star.
+        The multipliers (size,) are of the dual problem that was solved, for this or another load.
         """
         cells, d = self.cells, self.cells.d
         given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
@@ -163,56 +156,42 @@ class Bodies:
             ContactSurface(cells, dual, number, multipliers, bounds, self.prescribed)
             for number in range(len(dual.jump.pairs))
         ]
-        v, force = u.copy(), zero_like(u, "force")
+        v = u.copy()
         for surface in surfaces:
             surface.lift(v)
             for cell, facet, tractions in surface.sides:
                 given[cell, facet, :d] += tractions
-        force.x.array[:] = cells.nodal_forces(given).ravel()
-        balanced = self.response(dual, force, u, rtol=1e-12)
-        balanced.x.array[:] += u.x.array
-        discrete, of_v = (cells.stresses(w, self.stiffness) for w in (balanced, v))
-        approximate = self.unknown[:, :, None] & (np.arange(d + 1) < d)[:, None]
-        loading = np.where(approximate, cells.loading_of(discrete), given)
-        # a body may be free of forces where v, of another load, is not
-        forces, forces_of_v = map(cells.internal_forces, (discrete, of_v))
-        loading = self.stars.equilibrated(loading, forces)
+        # forces at vertices balance hat functions, for displacements of any degree
+        of_u, force = self.loading_of(u), zero_like(u, "force")
+        missing, vertices = cells.resultants(given - of_u), np.einsum("nkk->nk", cells.nodes)
+        force.x.array[:] = summed_at_nodes(self.V.dofmap.index_map, vertices, missing).ravel()
+        discrete = of_u + self.loading_of(self.response(dual, force, rtol=1e-12))
+        np.copyto(given[:, :, :d], discrete[:, :, :d], where=self.unknown[:, :, None])
+        loading = self.stars.equilibrated(given, discrete)
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), cells.resultants(loading))
-        largest = [np.abs(field).max(initial=0.0) for field in (lacking, forces, forces_of_v)]
-        missing, *sizes = reduce_array(self.comm, largest, MPI.MAX)
-        if not missing <= IMBALANCE * max(sizes):  # NaN fails, too
+        # bodies may be free of the forces that `given` balances, but not of those of u
+        forces = map(cells.resultants, (discrete, of_u))
+        lack, *sizes = largest_sizes(self.comm, lacking, *forces)
+        if not lack <= IMBALANCE * max(sizes):  # NaN fails, too
             raise ContactError(
-                f"the displacement is not in equilibrium: on a cell, forces of {missing:.1e} are "
+                f"the displacement is not in equilibrium: on a cell, forces of {lack:.1e} are "
                 f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
         return Candidate(surfaces, v, loading, oscillation)
 
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
-        """Return the defects of tractions and a displacement in the law of contact. Collective.
-
-        The (2, n) integrals over the facets of cells [energy] are those of pressure times gap, and
-        of what the work of friction lacks of its bound.
-        """
-        result = np.zeros((2, len(self.unknown)))
-        largest = reduce_array(self.comm, np.abs(v.x.array).max(initial=0.0), MPI.MAX)
+        """Return `ContactSurface.defects` (n, 2) [energy] over the facets of cells. Collective."""
+        result = np.zeros((len(self.unknown), 2))
         for surface in surfaces:
-            *defects, deepest = surface.defects(v)
-            for total, defect in zip(result, defects, strict=True):
-                np.add.at(total, surface.cell, defect)
-            self.cells.require(
-                deepest <= PENETRATION * largest,
-                "an exact solution, and prescribed displacements penetrate at contact pair "
-                f"{surface.pair}",
-            )
+            np.add.at(result, surface.cell, surface.defects(v))
         return result
 
     def shorten(self, difference: Array, gain: float) -> None:
         """Add tractions without resultants that make a stress smaller, in place. Collective.
 
-        `difference` is its loading; the steps end if one lowers its norm by less than the part
-        `gain`.
+        `difference` is its loading. Steps end if one lowers its norm by less than the part `gain`.
         """
         descent = -self.energies.derivative(difference)
         square = -float(reduce_array(self.comm, (difference * descent).sum()))
@@ -235,10 +214,7 @@ class Bodies:
     def error(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, gain: float = GAIN
     ) -> GuaranteedError:
-        """Return a guaranteed bound of the error of a solution, with one solve with K. Collective.
-
-        The solution of the dual problem has multipliers (size,) and the displacement u.
-        """
+        """Return a bound of the error of a solution, with one solve with K. Collective."""
         candidate = self.candidate(dual, multipliers, u, self.linear.ufl_forms[1])
         of_u, of_v = self.loading_of(u), self.loading_of(candidate.v)
         defects = self.defects(candidate.surfaces, candidate.v)
@@ -248,30 +224,24 @@ class Bodies:
         stresses = difference, of_u - of_v, of_u - of_v - 0.5 * difference
         square, moved, from_centre = map(self.energies.squared_norms, stresses)
         by_cell = (np.sqrt(square) + candidate.oscillation) ** 2
-        terms = by_cell, square, candidate.oscillation**2, moved, from_centre, *defects
-        *sums, complementarity, friction = reduce_array(self.comm, [term.sum() for term in terms])
-        eta, stress, oscillation, lift, offset = map(float, np.sqrt(sums))
-        defect = max(float(complementarity + friction), 0.0)  # of the conditions of contact
+        terms = by_cell, square, candidate.oscillation**2, moved, from_centre, *defects.T
+        sums = reduce_array(self.comm, [term.sum() for term in terms])
+        *squares, complementarity, friction = map(float, sums)
+        eta, stress, oscillation, lift, offset = map(sqrt, squares)
+        defect = max(complementarity + friction, 0.0)  # of the conditions of contact
         # the larger root e of e^2 = eta e + defect
-        error_of_v = 0.5 * eta + np.sqrt(0.25 * eta**2 + defect)
-        radius = np.sqrt(0.25 * stress**2 + defect + oscillation * error_of_v)
-        error, norm = float(min(error_of_v + lift, offset + radius)), dual.norm_of(u)
+        error_of_v = 0.5 * eta + sqrt(0.25 * eta**2 + defect)
+        radius = sqrt(0.25 * stress**2 + defect + oscillation * error_of_v)
+        error, norm = min(error_of_v + lift, offset + radius), dual.norm_of(u)
+        relative_error = error / norm if norm > 0.0 else float("inf")
         constants = fem.functionspace(self.V.mesh, ("DG", 0))
         cell_errors = fem.Function(constants, name="guaranteed_cell_errors")
-        dofs = constants.dofmap.list[: len(moved), 0]
-        lack = np.maximum(defects.sum(axis=0), 0.0)
+        lack = np.maximum(defects.sum(axis=1), 0.0)
+        dofs = constants.dofmap.list[: len(lack), 0]
         cell_errors.x.array[dofs] = np.sqrt(by_cell + 2.0 * lack + moved)
         cell_errors.x.scatter_forward()
-        return GuaranteedError(
-            error=error,
-            relative_error=error / norm if norm > 0.0 else float("inf"),
-            cell_errors=cell_errors,
-            stress=stress,
-            oscillation=oscillation,
-            complementarity=float(complementarity),
-            friction=float(friction),
-            lift=lift,
-        )
+        contact = complementarity, friction, lift
+        return GuaranteedError(error, relative_error, cell_errors, stress, oscillation, *contact)
 
 
 @dataclass(frozen=True)
@@ -295,7 +265,6 @@ class GuaranteedGoal:
         return f"<GuaranteedGoal: from {self.lower:.6g} to {self.upper:.6g}>"
 
 
-@dataclass(frozen=True)
 class Functional:
     """A goal that is linear in the displacement v, as J(v) or, for a force, a(w, v) - L(w).
 
@@ -303,96 +272,75 @@ class Functional:
         form: the linear form: J, or a(w, v); `derivative` is its vector.
         w: the displacement that the form causes as a load, without contact; exact for a force.
         is_force: whether the goal is a force, the work of tractions on w.
-        constant: L(w).
+        constant: L(w) for a force, else zero.
     """
 
-    form: ufl.Form
-    derivative: fem.Function
-    w: fem.Function
-    is_force: bool
-    constant: float = 0.0
-
-    @classmethod
-    def of_goal(cls, goal: Any, bodies: Bodies, dual: DualProgram) -> Functional:
+    def __init__(self, goal: Any, bodies: Bodies, dual: DualProgram) -> None:
         """Check a goal. Collective."""
         bodies.cells.require(
             dual.admissible.has_given_bounds,
             "slip bounds that do not depend on the pressure if it is of a goal",
         )
-        linear, pairs = bodies.linear, dual.jump.by_pair
+        self._bodies, self._dual, linear = bodies, dual, bodies.linear
         test, trial = linear.ufl_forms[0].arguments()
-        if isinstance(goal, ufl.Form):
-            if [argument.ufl_function_space() for argument in goal.arguments()] != [bodies.V]:
-                raise InputError("a goal must be a linear form on the space of the displacement.")
-            form = ufl.replace(goal, {goal.arguments()[0]: test})
-            derivative = assembled(form, bodies.V, linear.entity_maps)
-            w = bodies.response(dual, derivative, fem.Function(bodies.V), rtol=0.1)
-            return cls(form, derivative, w, is_force=False)
-        if not isinstance(goal, ContactForce | NormalForce):
+        self.is_force, self.constant = isinstance(goal, ContactForce | NormalForce), 0.0
+        arguments = goal.arguments() if isinstance(goal, ufl.Form) else []
+        if self.is_force:
+            pairs = dual.jump.by_pair
+            pair = pairs[checked_goal(goal, len(pairs), bodies.cells.d).pair].operators
+            self.w = fem.Function(bodies.V)
+            direction = -pair.normals if isinstance(goal, NormalForce) else goal.direction
+            self.w.x.array.reshape(-1, bodies.cells.d)[pair.nodes] = direction
+            self.w.x.array[: len(linear.prescribed)][linear.prescribed] = 0.0
+            self.w.x.scatter_forward()
+            forces = linear.assemble_forces()
+            self.constant = float(forces.x.petsc_vec.dot(self.w.x.petsc_vec))
+            self.form = ufl.replace(linear.ufl_forms[0], {trial: self.w})
+        elif [argument.ufl_function_space() for argument in arguments] == [bodies.V]:
+            self.form = ufl.replace(goal, dict(zip(arguments, [test], strict=True)))
+        else:
             raise InputError(
                 "a goal with guaranteed bounds must be a NormalForce, a ContactForce or a linear "
-                f"form such as ufl.inner(direction, ufl.TestFunction(V)) * ds, found {shown(goal)}."
+                "form on the space of the displacement, such as "
+                f"ufl.inner(direction, ufl.TestFunction(V)) * ds, found {shown(goal)}."
             )
-        pair = pairs[checked_goal(goal, len(pairs), bodies.cells.d).pair].operators
-        w = fem.Function(bodies.V)
-        direction = -pair.normals if isinstance(goal, NormalForce) else goal.direction
-        w.x.array.reshape(-1, bodies.cells.d)[pair.nodes] = direction
-        w.x.array[: len(linear.prescribed)][linear.prescribed] = 0.0
-        w.x.scatter_forward()
-        form = ufl.replace(linear.ufl_forms[0], {trial: w})
-        derivative = assembled(form, bodies.V, linear.entity_maps)
-        forces = linear.assemble_forces()
-        constant = float(forces.x.petsc_vec.dot(w.x.petsc_vec))
-        return cls(form, derivative, w, is_force=True, constant=constant)
+        self.derivative = assembled(self.form, bodies.V, linear.entity_maps)
+        if not self.is_force:
+            self.w = bodies.response(dual, self.derivative, rtol=0.1)
 
     def value(self, v: fem.Function) -> float:
         """Return the value for a displacement. Collective."""
         return float(self.derivative.x.petsc_vec.dot(v.x.petsc_vec)) - self.constant
 
+    def interval(
+        self, u: fem.Function, candidate_at: Callable[[float], Candidate], gain: float
+    ) -> GuaranteedGoal:
+        """Return an interval that contains the value in the exact solution. Collective.
 
-def guaranteed_goal(
-    functional: Functional,
-    bodies: Bodies,
-    dual: DualProgram,
-    u: fem.Function,
-    candidate_at: Callable[[float], Candidate],
-    gain: float,
-) -> GuaranteedGoal:
-    """Return an interval that contains the value in the exact solution. Collective.
+        For all t > 0, J(u*) - J(v) <= (|s - s(v)|^2 / 4 + G) / t with s of the load L + t J, and v
+        of L - t J. With a small t the errors count much, with a large one contact changes, and the
+        defects G are large.
 
-    For all t > 0, all admissible stresses s in equilibrium with the load L + t J, and all v that do
-    not penetrate, J(u*) - J(v) <= (|s - s(v)|^2 / 4 + G) / t, with the integral G of what both lack
-    of the law of contact; v is taken from the load L - t J (docs/theory/guaranteed.md). With a
-    small t the errors count much, with a large one contact changes, and G is large.
+        The collective function `candidate_at` returns the candidate with the load L + t J; if the
+        goal is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
+        """
+        bodies = self._bodies
+        of_w = bodies.loading_of(self.w) if self.is_force else 0.0
 
-    The collective function `candidate_at` returns the candidate with the load L + t J; if the goal
-    is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
-    """
-    of_w = bodies.loading_of(functional.w) if functional.is_force else 0.0
+        def limits_at(t: float) -> Array:
+            """Return upper limits (2,) of J and -J. Collective."""
+            candidates, result = {sign: candidate_at(sign * t) for sign in (1.0, -1.0)}, []
+            for sign, candidate in candidates.items():
+                v = candidates[-sign].v
+                # the stress of `w` balances the load t J of a force
+                difference = candidate.loading - bodies.loading_of(v) + sign * t * of_w
+                defects = bodies.defects(candidate.surfaces, v)
+                bodies.shorten(difference, gain)
+                eta = np.sqrt(bodies.energies.squared_norms(difference)) + candidate.oscillation
+                square, defect = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), defects.sum()])
+                result.append(sign * self.value(v) + (square + max(defect, 0.0)) / t)
+            return np.array(result)
 
-    def limits_at(t: float) -> Array:
-        """Return upper limits (2,) of J and -J; their sum is the width of the interval."""
-        candidates, result = {sign: candidate_at(sign * t) for sign in (1.0, -1.0)}, []
-        for sign, candidate in candidates.items():
-            v = candidates[-sign].v
-            # the stress of `functional.w` balances the load t J of a force
-            difference = candidate.loading - bodies.loading_of(v) + sign * t * of_w
-            defects = bodies.defects(candidate.surfaces, v)
-            bodies.shorten(difference, gain)
-            eta = np.sqrt(bodies.energies.squared_norms(difference)) + candidate.oscillation
-            square, defect = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), defects.sum()])
-            result.append(sign * functional.value(v) + (square + max(defect, 0.0)) / t)
-        return np.array(result)
-
-    start = dual.norm_of(u) / dual.norm_of(functional.w)
-    best = limits_at(start)
-    for factor in (1.0 / STEP, STEP):
-        for power in range(1, LARGEST_POWER + 1):
-            limits = limits_at(start * factor**power)
-            is_narrower = limits.sum() < best.sum()
-            best = np.minimum(best, limits)
-            if not is_narrower:
-                break
-        if power > 1:  # smaller t narrowed the interval: larger ones would not
-            break
-    return GuaranteedGoal(-float(best[1]), float(best[0]), functional.value(u))
+        start = self._dual.norm_of(u) / self._dual.norm_of(self.w)
+        upper, lower = np.min([limits_at(start * multiple) for multiple in MULTIPLES], axis=0)
+        return GuaranteedGoal(-float(lower), float(upper), self.value(u))

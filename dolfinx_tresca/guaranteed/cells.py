@@ -11,8 +11,7 @@ its loading: the load is minus its divergence.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from itertools import combinations, permutations
 from math import factorial
 from typing import Any
@@ -24,15 +23,14 @@ import numpy as np
 import basix
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices
+from dolfinx_tresca._base.arrays import Array, Indices
 from dolfinx_tresca._base.compat import geometry_degree, geometry_dofmap
 from dolfinx_tresca._base.parallel import summed_at_nodes
 from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function; and the latter for the quadratic part of w on F, its projection onto
-#: quadratic functions that are orthogonal to linear ones. Their proof is in
+#: nearest linear function; and the latter for the quadratic part of w on F. Their proof is in
 #: docs/theory/guaranteed.md, and tests/guaranteed/test_constants.py computes them.
 POINCARE = {2: 0.540, 3: 0.768}
 TRACE = {2: 1.522, 3: 4.473}
@@ -41,16 +39,11 @@ QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 
 @cache
 def mean_products(corners: int, factors: int) -> Array:
-    """Return the means over a simplex of products of barycentric coordinates.
-
-    The result has `factors` axes of length `corners`; its entry (i, j, ...) is the mean of lambda_i
-    lambda_j ...
-    """
-    result = np.empty((corners,) * factors)
-    scale = factorial(corners - 1) / factorial(corners - 1 + factors)
-    for index in np.ndindex(*result.shape):
-        powers = np.bincount(index, minlength=corners)
-        result[index] = scale * np.prod([factorial(int(power)) for power in powers])
+    """Return the means (corners, corners, ...) of products of barycentric coordinates."""
+    index = np.indices((corners,) * factors)
+    result = np.full(index.shape[1:], factorial(corners - 1) / factorial(corners - 1 + factors))
+    for k in range(1, factors):  # the factorial of each power
+        result *= 1.0 + (index[:k] == index[k]).sum(axis=0)
     return result
 
 
@@ -60,9 +53,8 @@ def pair_means(values: Array) -> Array:
 
 
 def bernstein(values: Array) -> Array:
-    """Return Bernstein's coefficients C (..., k, k, c) of quadratic functions on simplices.
+    """Return Bernstein's coefficients C (..., k, k, c) of functions C_ij lambda_i lambda_j.
 
-    A function is the sum of C_ij lambda_i lambda_j, and between its least and largest coefficient.
     The mean of values (i, j) and (j, i) is that in the middle between the vertices i and j.
     """
     corners = np.einsum("...iic->...ic", values)
@@ -73,10 +65,8 @@ def bernstein(values: Array) -> Array:
 def lagrange(corners: int) -> tuple[Array, Array, Array]:
     """Return Lagrange's basis of degree 2 on a simplex, with a node for each two vertices i <= j.
 
-    Returns:
-        the barycentric coordinates (k, corners) of the nodes, in the order of `triu_indices`;
-        `bernstein`'s coefficients (corners, corners, k) of the basis; and the means (k, k) of
-        products of two basis functions.
+    The result has the nodes' barycentric coordinates (k, corners), in the order of `triu_indices`,
+    `bernstein`'s coefficients (corners, corners, k), and means (k, k) of two functions' products.
     """
     i, j = np.triu_indices(corners)
     values = np.zeros((corners, corners, len(i)))
@@ -102,104 +92,60 @@ def rigid_motions(arms: Array) -> Array:
     return result
 
 
-@dataclass(frozen=True)
 class Simplices:
-    """Simplices with d + 1 vertices at `points` (n, d + 1, d) [length]."""
+    """Simplices with d + 1 vertices.
 
-    points: Array
+    Attributes:
+        points: (n, d + 1, d) the vertices [length].
+        d: the dimension.
+        frames: (n, d, d) the matrices B of the maps x = x_0 + B X from the reference simplex.
+        volumes: (n,) volumes, in 2D areas.
+        gradients: (n, d + 1, d) gradients of the barycentric coordinates.
+        heights: (n, d + 1) heights of the vertices over the opposite facets.
+        areas: (n, d + 1) areas of the facets, in 2D lengths.
+        normals: (n, d + 1, d) outward unit normals of the facets.
+    """
 
-    @property
-    def d(self) -> int:
-        """The dimension."""
-        return int(self.points.shape[2])
-
-    @cached_property
-    def frames(self) -> Array:
-        """(n, d, d) the matrices B of the maps x = x_0 + B X from the reference simplex."""
-        return np.swapaxes(self.points[:, 1:] - self.points[:, :1], 1, 2)
-
-    @cached_property
-    def volumes(self) -> Array:
-        """(n,) volumes, in 2D areas."""
-        return np.asarray(np.abs(np.linalg.det(self.frames)) / factorial(self.d))
-
-    @cached_property
-    def gradients(self) -> Array:
-        """(n, d + 1, d) gradients of the barycentric coordinates."""
+    def __init__(self, points: Array) -> None:
+        """Compute the shapes."""
+        self.points, self.d = points, points.shape[2]
+        self.frames = np.swapaxes(points[:, 1:] - points[:, :1], 1, 2)
+        self.volumes: Array = np.abs(np.linalg.det(self.frames)) / factorial(self.d)
         inner = np.linalg.inv(self.frames)
-        return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
-
-    @cached_property
-    def heights(self) -> Array:
-        """(n, d + 1) heights of the vertices over the opposite facets."""
-        return np.asarray(1.0 / np.linalg.norm(self.gradients, axis=2))
-
-    @cached_property
-    def areas(self) -> Array:
-        """(n, d + 1) areas of the facets, in 2D lengths."""
-        return np.asarray(self.d * self.volumes[:, None] / self.heights)
-
-    @cached_property
-    def normals(self) -> Array:
-        """(n, d + 1, d) outward unit normals of the facets."""
-        return -self.gradients * self.heights[:, :, None]
+        self.gradients = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
+        self.heights: Array = 1.0 / np.linalg.norm(self.gradients, axis=2)
+        self.areas: Array = self.d * self.volumes[:, None] / self.heights
+        self.normals = -self.gradients * self.heights[:, :, None]
 
     def terms(self, loading: Array) -> Iterator[tuple[Indices, Array, Array]]:
-        """Yield vertices (k,), sizes (n,) and a view (n, k, d) of each term of a loading.
-
-        They are those of the cells, then of each facet.
-        """
+        """Yield vertices (k,), sizes (n,) and a view (n, k, d) of the load, then on each facet."""
         yield np.arange(self.d + 1), self.volumes, loading[:, :, self.d]
         for j, vertices in enumerate(opposite(self.d)):
             yield vertices, self.areas[:, j], loading[:, j, : self.d]
 
     def resultants(self, loading: Array) -> Array:
-        """Return forces (n, d + 1, d) at vertices that do the work of a loading there.
-
-        Their work on a linear displacement is that of its values at the vertices.
-        """
+        """Return forces (n, d + 1, d) at vertices with a loading's work on linear displacements."""
         result = np.zeros_like(self.points)
         for vertices, sizes, values in self.terms(loading):
             means = mean_products(len(vertices), 2) @ values
             result[:, vertices] += sizes[:, None, None] * means
         return result
 
-    def internal_forces(self, stress: Array) -> Array:
-        """Return the forces (n, d + 1, d) at vertices of linear stresses (n, d + 1, d, d) there."""
-        means = self.volumes[:, None, None] * stress.mean(axis=1)
-        return np.asarray(self.gradients @ np.swapaxes(means, 1, 2))
+    def load_factors(self) -> Array:
+        """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
 
-    @cached_property
-    def map_factors(self) -> Array:
-        """(n,) factors [length] with which the constants of `POINCARE` and `TRACE` grow.
-
-        They are s^2 / t with the largest and the least singular value s, t of the affine map from
-        the simplex of `POINCARE`. Its columns are the edges of a path through all vertices. Each
-        path gives a bound; the shortest is taken.
+        Displacements w are those minus their nearest linear function. `POINCARE` grows with s^2 / t
+        [length], where s and t are the largest and the least singular value of the affine map. Its
+        columns are the edges of a path through all vertices; the shortest is taken.
         """
-        squares = np.square(self.points[:, :, None] - self.points[:, None]).sum(axis=3)
-        orders = np.array(list(permutations(range(self.d + 1))))
-        lengths = squares[:, orders[:, :-1], orders[:, 1:]].sum(axis=2)
-        shortest = orders[lengths.argmin(axis=1)]
-        steps = np.diff(np.take_along_axis(self.points, shortest[:, :, None], axis=1), axis=1)
-        values = np.linalg.eigvalsh(steps @ np.swapaxes(steps, 1, 2))
-        return np.asarray(values[:, -1] / np.sqrt(values[:, 0]))
-
-    @property
-    def poincare_factors(self) -> Array:
-        """(n,) upper bounds of |w| / |sym grad w| [length], w minus its linear part."""
-        return self.map_factors * POINCARE[self.d]
-
-    @property
-    def trace_factors(self) -> Array:
-        """(n, d + 1) upper bounds of |w|_F / |sym grad w| [length^(1/2)] on each facet F."""
-        ratios = self.areas / (factorial(self.d) * self.volumes[:, None])
-        return np.asarray(self.map_factors[:, None] * np.sqrt(ratios) * TRACE[self.d])
-
-    @property
-    def quadratic_ratio(self) -> float:
-        """The ratio of the bounds `trace_factors` of quadratic functions to those of all."""
-        return QUADRATIC_TRACE[self.d] / TRACE[self.d]
+        paths = list(permutations(range(self.d + 1)))
+        steps = np.diff(self.points[:, paths], axis=2)
+        shortest = np.square(steps).sum(axis=(2, 3)).argmin(axis=1)
+        steps = steps[np.arange(len(steps)), shortest]
+        squares = np.linalg.eigvalsh(steps @ np.swapaxes(steps, 1, 2))
+        factors = np.insert(self.areas / self.volumes[:, None] / factorial(self.d), 0, 1.0, axis=1)
+        factors = np.sqrt(factors) * ([POINCARE[self.d]] + (self.d + 1) * [TRACE[self.d]])
+        return np.asarray((squares[:, -1] / np.sqrt(squares[:, 0]))[:, None] * factors)
 
     def loading_of(self, stress: Array) -> Array:
         """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
@@ -208,16 +154,6 @@ class Simplices:
         divergence = np.einsum("nkab,nkb->na", stress, self.gradients)[:, None, None]
         load = np.broadcast_to(-divergence, (len(stress), d + 1, 1, d))
         return np.concatenate([tractions, load], axis=2)
-
-
-@cache
-def symmetric_basis(d: int) -> Array:
-    """Return an orthonormal basis (d (d + 1) / 2, d, d) of the symmetric matrices."""
-    axes = np.eye(d)
-    i, j = np.triu_indices(d)
-    outer = axes[i][:, :, None] * axes[j][:, None]
-    scales = np.where(i == j, 0.5, np.sqrt(0.5))
-    return np.asarray(scales[:, None, None] * (outer + np.swapaxes(outer, 1, 2)))
 
 
 def _regular_frame(d: int) -> Array:
@@ -229,25 +165,20 @@ def _regular_frame(d: int) -> Array:
 def stress_products(d: int) -> Array:
     """Return products of stresses of the stress element on the regular simplex of edge length 1.
 
-    The simplex is divided by its centroid into d + 1 subcells, as in the element of Johnson and
-    Mercier (1978; in any dimension Gopalakrishnan, Guzman and Lee 2024): subcell i has the centroid
-    in place of vertex i. Here stresses are symmetric, quadratic in each subcell, and have
-    continuous tractions between subcells. For each loading in equilibrium there is such a stress;
-    of all, that of the least norm is taken. It depends linearly on the loading, and reproduces
-    linear stresses.
+    Subcell i of Johnson and Mercier (1978) has the centroid in place of vertex i. Stresses are
+    symmetric, quadratic in each subcell, and have continuous tractions between subcells. For each
+    loading in equilibrium that of the least norm is taken, which is linear in the loading.
 
-    Returns:
-        (nsym, nsym, m, m) means over the simplex of products of two components of stresses in
-        `symmetric_basis`. The m data are the entries of the loading, with tractions S grad lambda_j
-        of the stress S.
+    The result (d * d, d * d, m, m) has means over the simplex of products of two components. The m
+    data are the entries of the loading, with tractions S grad lambda_j of the stress S.
     """
-    n, basis = d + 1, symmetric_basis(d)
-    places, shapes, means = lagrange(n)
-    size, nsym = len(places), len(basis)
+    n, (places, shapes, means) = d + 1, lagrange(d + 1)
+    size = len(places)
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
     root = np.linalg.inv(np.linalg.cholesky(means / n)).T
-    unknown = np.eye(n * size * nsym).reshape(n, size, nsym, -1)
-    stress = np.einsum("pq,iqaz,akl->ipklz", root, unknown, basis, optimize=True)
+    unknown = np.eye(n * size * d * d).reshape(n, size, d, d, -1)
+    stress = np.tensordot(root, 0.5 * (unknown + np.swapaxes(unknown, 2, 3)), axes=(1, 1))
+    stress = np.swapaxes(stress, 0, 1)
     loading = np.eye(n * n * d).reshape(n, n, d, -1)
     inner = np.linalg.inv(_regular_frame(d))
     gradients = np.vstack([-inner.sum(axis=0), inner])
@@ -271,40 +202,36 @@ def stress_products(d: int) -> Array:
             right.append(np.zeros((len(ours), d, n * n * d)))
     matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
-    least = least.reshape(n * size, nsym, -1)  # orthonormal at the nodes of each subcell
+    least = least.reshape(n * size, d * d, -1)  # orthonormal at the nodes of each subcell
     return np.asarray(np.einsum("pax,pby->abxy", least, least, optimize=True))
 
 
 class StressEnergies:
-    """Squared norms of the stresses of the element, as quadratic functions of their loadings.
+    """Squared norms of the stresses of the element as quadratic functions of their loadings.
 
-    The loadings must be in equilibrium. A squared norm is twice the complementary energy.
+    A squared norm is twice the complementary energy, and a loading must be in equilibrium.
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the matrices of all cells; compliances (n, nsym, nsym) as `symmetric_basis`."""
-        d = cells.d
-        basis, products = symmetric_basis(d), stress_products(d)
+        """Compute the matrices of all cells from their compliance tensors (n, d * d, d * d)."""
+        n, corners, d = cells.points.shape
+        products = stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
+        maps = np.einsum("nia,njb->nabij", frames, frames).reshape(compliance.shape)
+        pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
+        matrices = pulled.reshape(n, -1) @ products.reshape(d**4, -1)
+        self._matrices = matrices.reshape(n, *products.shape[2:])
         # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
         # with tractions S grad lambda_j
-        self._to_reference = np.swapaxes(np.linalg.inv(frames), 1, 2)
-        scales = np.ones((*cells.heights.shape, d + 1))
-        scales[:, :, :d] = -1.0 / cells.heights[:, :, None]
-        self._scales = scales.reshape(len(frames), -1, 1)
-        stresses = frames[:, None] @ basis @ np.swapaxes(frames, 1, 2)[:, None]
-        rows = np.tensordot(stresses, basis, axes=([2, 3], [1, 2]))
-        pulled = rows @ compliance @ np.swapaxes(rows, 1, 2) * cells.volumes[:, None, None]
-        matrices = pulled.reshape(len(frames), -1) @ products.reshape(len(basis) ** 2, -1)
-        self._matrices = matrices.reshape(len(frames), *products.shape[2:])
+        scales = np.ones((n, corners, corners, 1, 1))
+        scales[:, :, :d, 0, 0] = -1.0 / cells.heights[:, :, None]
+        self._changes = scales * np.linalg.inv(frames)[:, None, None]
 
     def derivative(self, loading: Array) -> Array:
         """Return half the derivative (n, d + 1, d + 1, d) of the squared norms."""
-        n, *_, d = loading.shape
-        reference = loading.reshape(n, -1, d) @ self._to_reference * self._scales
-        products = (self._matrices @ reference.reshape(n, -1, 1)).reshape(n, -1, d) * self._scales
-        derivative = products @ np.swapaxes(self._to_reference, 1, 2)
-        return np.asarray(derivative.reshape(loading.shape))
+        reference = np.einsum("njkab,njkb->njka", self._changes, loading)
+        products = (self._matrices @ reference.reshape(len(loading), -1, 1)).reshape(loading.shape)
+        return np.asarray(np.einsum("njkab,njka->njkb", self._changes, products))
 
     def squared_norms(self, loading: Array) -> Array:
         """Return the squared norms (n,) of the stresses with a loading."""
@@ -312,17 +239,14 @@ class StressEnergies:
 
     def of_facets(self) -> Array:
         """Return the matrices (n, d + 1, d * d, d * d) of tractions on each facet alone."""
-        n, d, _ = self._to_reference.shape
-        shape = n, d + 1, d * d, d * d
-        blocks = self._matrices.reshape(n, d + 1, (d + 1) * d, d + 1, (d + 1) * d)
+        n, corners, _, d, _ = self._changes.shape
+        blocks = self._matrices.reshape(n, corners, corners * d, corners, corners * d)
         blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
-        for _ in range(2):  # rows, then columns
-            blocks = self._to_reference[:, None, None] @ blocks.reshape(n, d + 1, d, d, d * d)
-            blocks = np.swapaxes(blocks.reshape(shape), 2, 3)
-        return np.asarray(blocks * np.square(self._scales[:, :: d + 1, :, None]))
+        changes = np.einsum("kl,njab->njkalb", np.eye(d), self._changes[:, :, 0])
+        changes = changes.reshape(blocks.shape)
+        return np.asarray(np.swapaxes(changes, 2, 3) @ blocks @ changes)
 
 
-@dataclass(frozen=True)
 class MeshCells(Simplices):
     """The cells that this rank owns, with vertices in ascending order of their global numbers.
 
@@ -334,63 +258,43 @@ class MeshCells(Simplices):
         facets: (n, d + 1) numbers on this rank of the facets.
         nodes: (n, d + 1, d + 1) nodes of V on this rank, whose displacements are as in `bernstein`:
             for degree 1 at vertex i, for degree 2 in the middle between the vertices i and j.
+        facet_nodes: (n, d + 1, d, d) the nodes of V on each facet, as in `nodes`.
+        signs: (n, d + 1, 1, 1) 1 on one side of each facet and -1 on the other one.
+        sides: (facets, 1, 1) the number of cells at each facet of this rank.
     """
 
-    V: Any
-    quadratics: Any
-    dofs: Indices
-    vertices: GlobalNumbers
-    facets: Indices
-    nodes: Indices
-
-    @classmethod
-    def from_space(cls, V: Any) -> MeshCells:
+    def __init__(self, V: Any) -> None:
         """Sort the vertices of the cells of a space's mesh. Collective."""
-        cell = V.mesh.topology.cell_name()
-        if cell not in ("triangle", "tetrahedron"):
-            raise InputError(
-                f"a guaranteed bound needs triangles or tetrahedra, found {cell} cells. Divide "
-                "them into simplices."
-            )
-        if geometry_degree(V.mesh) != 1:
-            raise InputError("a guaranteed bound needs cells with straight edges.")
         mesh, topology = V.mesh, V.mesh.topology
+        kind, degree = topology.cell_name(), geometry_degree(mesh)
+        if kind not in ("triangle", "tetrahedron") or degree != 1:
+            raise InputError(
+                "a guaranteed bound needs triangles or tetrahedra with straight edges, found "
+                f"{kind} cells of degree {degree}. Divide cells into simplices."
+            )
         d, count = topology.dim, topology.index_map(topology.dim).size_local
         topology.create_connectivity(d, d - 1)
         topology.create_connectivity(d - 1, d)
-        local = topology.connectivity(d, 0).array.reshape(-1, d + 1)[:count]
+        local, facets = (
+            topology.connectivity(d, dim).array.reshape(-1, d + 1)[:count] for dim in (0, d - 1)
+        )
         numbers = topology.index_map(0).local_to_global(local.ravel()).reshape(local.shape)
-        order = np.argsort(numbers, axis=1)
-        points = mesh.geometry.x[geometry_dofmap(mesh)[:count], :d]
-        facets = topology.connectivity(d, d - 1).array.reshape(-1, d + 1)[:count]
+        cell, order = np.arange(count)[:, None], np.argsort(numbers, axis=1)
+        super().__init__(mesh.geometry.x[geometry_dofmap(mesh)[cell, order], :d])
+        self.V, self.vertices, self.facets = V, numbers[cell, order], facets[cell, order]
         between = np.diag(np.arange(d + 1))
         for edge, (i, j) in enumerate(basix.topology(mesh.basix_cell())[1], d + 1):
             between[i, j] = between[j, i] = edge
         pairs = between[order[:, :, None], order[:, None]]
         nodes = pairs if V.element.basix_element.degree == 2 else order[:, :, None] + 0 * pairs
-        quadratics = fem.functionspace(mesh, ("DG", 2, (d,)))
-        cell, (i, j) = np.arange(count), np.triu_indices(d + 1)
-        return cls(
-            points=np.take_along_axis(points, order[:, :, None], axis=1),
-            V=V,
-            quadratics=quadratics,
-            dofs=quadratics.dofmap.list[cell[:, None], pairs[:, i, j]],
-            vertices=np.take_along_axis(numbers, order, axis=1),
-            facets=np.take_along_axis(facets, order, axis=1),
-            nodes=V.dofmap.list[cell[:, None, None], nodes],
-        )
-
-    @cached_property
-    def facet_nodes(self) -> Indices:
-        """(n, d + 1, d, d) the nodes of V on each facet, as in `nodes`."""
-        sides = opposite(self.d)
-        return self.nodes[:, sides[:, :, None], sides[:, None]]
-
-    @cached_property
-    def signs(self) -> Array:
-        """(n, d + 1, 1, 1) 1 on one side of each facet and -1 on the other one."""
-        sides = (-1.0) ** np.arange(self.d + 1) * np.linalg.det(self.frames)[:, None]
-        return np.asarray(np.sign(sides)[:, :, None, None])
+        self.nodes = V.dofmap.list[cell[:, None], nodes]
+        self.quadratics, (i, j) = fem.functionspace(mesh, ("DG", 2, (d,))), np.triu_indices(d + 1)
+        self.dofs = self.quadratics.dofmap.list[cell, pairs[:, i, j]]
+        facing = opposite(d)
+        self.facet_nodes = self.nodes[:, facing[:, :, None], facing[:, None]]
+        turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]
+        self.signs = np.sign(turns)[:, :, None, None]
+        self.sides = self.facet_sums(np.ones_like(self.signs))
 
     def facet_sums(self, values: Array) -> Array:
         """Return the sums (facets, a, b) over both sides of values (n, d + 1, a, b). Collective."""
@@ -399,38 +303,15 @@ class MeshCells(Simplices):
         return summed_at_nodes(index_map, self.facets, rows).reshape(-1, *values.shape[2:])
 
     def on_sides(self, tractions: Array) -> Array:
-        """Return the loading of tractions (facets, d * d), which are opposite on both sides."""
+        """Return the loading of tractions (facets, d d), which are opposite on both sides."""
         result = np.zeros((*self.facets.shape, self.d + 1, self.d))
-        shape = *self.facets.shape, self.d, self.d
-        result[:, :, : self.d] = self.signs * tractions[self.facets].reshape(shape)
+        on_cells = tractions.reshape(-1, self.d, self.d)[self.facets]
+        result[:, :, : self.d] = self.signs * on_cells
         return result
-
-    def nodal_forces(self, loading: Array) -> Array:
-        """Return the forces (nodes of this rank, d) of a loading. Collective."""
-        forces = np.zeros((*self.nodes.shape, self.d))
-        for vertices, sizes, values in self.terms(loading):
-            k = len(vertices)
-            means = mean_products(k, 3).reshape(-1, k) @ (sizes[:, None, None] * values)
-            forces[:, vertices[:, None], vertices] += means.reshape(-1, k, k, self.d)
-        # they do the work of `bernstein`'s coefficients
-        forces *= 2.0
-        forces -= np.eye(self.d + 1)[:, :, None] * forces.sum(axis=2, keepdims=True) / 2.0
-        return summed_at_nodes(self.V.dofmap.index_map, self.nodes, forces)
 
     def spread(self, owned: Array) -> Array:
         """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
         return summed_at_nodes(self.V.dofmap.index_map, np.arange(len(owned)), owned)
-
-    def stresses(self, w: Any, stiffness: Array) -> Array:
-        """Return the stresses (n, d + 1, d, d) at vertices of a Function w on V.
-
-        The elasticity tensors (n, nsym, nsym) are in `symmetric_basis`.
-        """
-        tensors = symmetric_basis(self.d)
-        coefficients = bernstein(w.x.array.reshape(-1, self.d)[self.nodes])
-        slopes = 2.0 * np.swapaxes(coefficients, 2, 3) @ self.gradients[:, None]
-        strains = np.tensordot(slopes, tensors, axes=([2, 3], [1, 2]))
-        return np.asarray(np.tensordot(strains @ stiffness, tensors, axes=1))
 
     def require(self, holds: Any, needed: str) -> None:
         """Check what the bound needs on all ranks. Collective."""

@@ -10,37 +10,34 @@ from scipy.sparse import kron
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask
-from dolfinx_tresca._base.parallel import reduce_array, summed_at_nodes
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask, unit
+from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
 from dolfinx_tresca._base.petsc import as_petsc
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import MeshCells, bernstein, mean_products, pair_means
-from dolfinx_tresca.pairing.operators import PairOperators, joined
-from dolfinx_tresca.pairing.pair_surfaces import pair_group
-from dolfinx_tresca.pairing.undeformed import PairGroup
+from dolfinx_tresca.pairing.operators import PairOperators
+from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
-from dolfinx_tresca.scene.pair import SideName
+from dolfinx_tresca.scene.pair import ContactPair, SideName
 
 #: Difference of unit normals, and of entries of the primary side's means from 1, that count as
 #: rounding.
 FLATNESS = 1e-8
+
+#: Penetration relative to the largest displacement that counts as rounding.
+PENETRATION = 1e-10
 
 
 class ContactSurface:
     """The secondary surface of a pair, with tractions that are linear between nodes.
 
     Attributes:
-        pair: the contact pair.
-        nodes: (n,) the vertices of this rank that face the primary side, prescribed ones included.
-        normal: (d,) the contact normal: of the secondary side, or towards the rigid plane.
         cell: (m,) the cells of the secondary facets.
-        facet: (m,) the numbers of these facets in their cells.
-        tractions: (m, d, d) tractions on the secondary facets at their vertices [stress].
-        sides: cells (m,), numbers of facets (m,) and tractions (m, d, d) of the secondary side, and
-            of the primary side if it is a body.
+        sides: cells (m,), numbers of facets (m,) and tractions at their vertices (m, d, d) [stress]
+            of the secondary side, and of the primary side if it is a body.
     """
 
     def __init__(
@@ -54,80 +51,58 @@ class ContactSurface:
     ) -> None:
         """Interpolate multipliers (size,) of a pair between nodes. Collective.
 
-        There are slip bounds (nodes of all pairs,) [stress], and prescribed degrees of freedom
-        (nodes of this rank, d).
+        Slip bounds (nodes of all pairs,) [stress] and prescribed (nodes of this rank, d) are given.
         """
         rows = dual.jump.by_pair[number]
+        bounds = bounds[rows.nodes]
         group = rows.operators.undeformed.group
         member = group.numbers.index(number)
-        self.pair = pair = group.pairs[member]
+        self._pair = pair = group.pairs[member]
         self._cells, self._free = cells, ~prescribed
-        self.bonded = isinstance(pair.friction, Bonded)
+        self._bonded = isinstance(pair.friction, Bonded)
         V, d, comm = cells.V, cells.d, cells.V.mesh.comm
         rigid = isinstance(pair.primary, RigidPlane)
-        finite = self.bonded or np.isfinite(bounds[rows.nodes]).all()
-        alike = all(member.friction == pair.friction for member in group.pairs)
-        cells.require(
-            alike and finite and (rows.operators.semi_axes == 1.0).all(),
-            "surfaces of one law with one finite slip bound for all directions, unlike those "
-            f"of contact pair {pair}. Leave a gap between surfaces of different laws",
+        needed = (
+            "contact with rigid planes, or of bodies of degree 1 whose meshes match on flat "
+            "surfaces, with one law and one finite slip bound for all directions; contact pair "
+            f"{pair} differs. Mesh both sides alike, make a pair of each flat side, and leave a "
+            "gap between surfaces of different laws"
         )
-        matching = (
-            "rigid planes, or bodies of degree 1 whose meshes match on flat surfaces, and those of "
-            f"contact pair {pair} do not. Mesh both alike, and make a pair of each flat side"
-        )
-        every = _with_all_nodes(V, group)
-        every = every.at_nodes(every.shares[:, member] > 0.0)
+        alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
+        alike &= bool((rows.operators.semi_axes == 1.0).all() and np.isfinite(bounds).all())
+        every = _with_all_nodes(V, pair)
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
-        whole = (np.abs(every.primary.data - 1.0) < FLATNESS).all()
-        cells.require(rigid or (nodewise and whole), matching)
-        self.nodes = every.nodes
+        nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()
+        cells.require(alike and (rigid or nodewise), needed)
+        self._facing = every.nodes  # the primary side, prescribed ones included
         opposite_nodes = kron(every.primary, np.eye(d), format="csr")  # none of a plane
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
-        self._faces = self._at_nodes(np.ones((len(self.nodes), 1)))
-        gaps = np.zeros(len(self.nodes)) if self.bonded else every.distance
-        if pair.gap is not None and not self.bonded:
-            name = f"the gap of contact pair {pair}"
-            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self.nodes, name)
+        gaps = every.distance
+        if pair.gap is not None:
+            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self._facing, "the gap")
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
-        self.cell, self.facet, self._corners, outside = self._facets_of("secondary", touching)
-        self._nodes = cells.facet_nodes[self.cell, self.facet]
-        normals = cells.normals[self.cell, self.facet]
-        if rigid:
-            self.normal = -pair.primary.at(np.zeros((1, 3)))[1][0, :d]
-        else:
-            total = reduce_array(comm, normals.sum(axis=0))
-            self.normal = total / np.linalg.norm(total)
-        self._axes = np.eye(d) if self.bonded else self.normal[None]
+        self.cell, self._facet, self._corners, outside = self._facets_of("secondary", touching)
+        self._nodes = cells.facet_nodes[self.cell, self._facet]
+        self._normal = unit(reduce_array(comm, every.normals.sum(axis=0)))
+        self._axes = np.eye(d) if self._bonded else self._normal[None]
         tractions = self._carried(self._nodal_tractions(dual, rows, multipliers, bounds))
-        cells.require(
-            not tractions[outside].any(),
-            f"multipliers at all nodes of pressed facets, and contact pair {pair} has pressed "
-            "facets at a rim",
-        )
-        cells.require(
-            not prescribed[self._nodes].all(axis=(1, 2)).any(),
-            "contact surfaces without prescribed displacements, and some facets of contact pair "
-            f"{pair} have them",
-        )
-        self.tractions = tractions[self._corners]
-        self.sides = [(self.cell, self.facet, self.tractions)]
+        rim = f"multipliers at all nodes of pressed facets, unlike those at a rim of pair {pair}"
+        cells.require(not tractions[outside].any(), rim)
+        self._tractions = tractions[self._corners]
+        self.sides = [(self.cell, self._facet, self._tractions)]
         if not rigid:
             cell, facet, corners, _ = self._facets_of("primary", touching)
-            turned = np.vstack([normals, -cells.normals[cell, facet]]) - self.normal
+            normals = [cells.normals[self.cell, self._facet], -cells.normals[cell, facet]]
+            turned = np.concatenate(normals) - self._normal
             unpaired = comm.allreduce(len(cell) - len(self.cell))
-            cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), matching)
+            cells.require(not unpaired and (np.abs(turned) < FLATNESS).all(), needed)
             self.sides.append((cell, facet, tractions[corners]))
 
     def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
-        """Return the facets of a side whose vertices all touch.
-
-        Returns:
-            their cells (m,), numbers (m,) and vertices (m, d), and the vertices of other facets.
-        """
-        tags, numbers = self.pair.given_tags(side)
+        """Return cells, numbers and vertices (m, d) of facets that touch; vertices of others."""
+        tags, numbers = self._pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._cells.facets, facets))
         vertices = np.einsum("mkk->mk", self._cells.facet_nodes[cell, facet])
@@ -139,41 +114,37 @@ class ContactSurface:
     ) -> Array:
         """Return admissible tractions (nodes, d), and set the data of the law. Collective.
 
-        Nodes whose multipliers lack components, which are prescribed, have means of neighbours.
+        Nodes whose multipliers lack components have means of their neighbours.
         """
         V, pair, d = self._cells.V, rows.operators, self._cells.d
-        stress = multipliers * dual.jump.stress_scale
-        origin = (dual.offset - dual.jump.gap) * dual.jump.length_scale
-        values = np.zeros((V.dofmap.index_map.size_local, 2 * d + 3))
-        tractions = rows.nodal_vectors(stress)
-        values[pair.nodes, 0] = tractions[:, 0]
-        values[pair.nodes, 1] = 0.0 if self.bonded else bounds[rows.nodes]
-        values[pair.nodes, 2 : d + 2] = -tractions[:, 1:]
-        values[pair.nodes, d + 2 : -1] = rows.nodal_vectors(origin)[:, 1:]
-        components = 1 if isinstance(self.pair.friction, Frictionless) else d
-        counts = np.bincount(pair.row_node, minlength=len(pair.nodes))
-        values[pair.nodes, -1] = counts == components
-        table = self._cells.spread(values * values[:, -1:])
+        stress = rows.nodal_vectors(multipliers * dual.jump.stress_scale)
+        origin = rows.nodal_vectors((dual.offset - dual.jump.gap) * dual.jump.length_scale)
+        components = 1 if isinstance(self._pair.friction, Frictionless) else d
+        has_all = np.bincount(pair.row_node, minlength=len(pair.nodes)) == components
+        columns = np.column_stack([stress[:, 0], bounds, -stress[:, 1:], origin[:, 1:], has_all])
+        values = np.zeros((V.dofmap.index_map.size_local, columns.shape[1]))
+        values[pair.nodes] = has_all[:, None] * columns
+        table = self._cells.spread(values)
         sums = np.repeat(table[self._corners].sum(axis=1, keepdims=True), d, axis=1)
         around = summed_at_nodes(V.dofmap.index_map, self._corners, sums)
         table = np.where(table[:, -1:] > 0.0, table, around)
         table /= np.maximum(table[:, -1:], 1.0)
 
         pressure, self._bounds, vectors = table[:, :1], table[:, 1], table[:, 2:-1]
-        across = np.eye(d) - np.outer(self.normal, self.normal)
+        across = np.eye(d) - np.outer(self._normal, self._normal)
         friction, self._origins = vectors[:, :d] @ across, vectors[:, d:] @ across
-        if not self.bonded:
+        if not self._bonded:
             pressure = np.maximum(pressure, 0.0)
             sizes = np.linalg.norm(friction, axis=1)
             share = np.minimum(1.0, self._bounds / np.maximum(sizes, LEAST_DIVISOR))
             friction *= share[:, None]
-        self._pressed = self.bonded | (pressure[:, 0] > 0.0)
-        return np.asarray(friction - pressure * self.normal)
+        self._pressed = self._bonded | (pressure[:, 0] > 0.0)
+        return np.asarray(friction - pressure * self._normal)
 
     def _at_nodes(self, values: Array) -> Array:
         """Return values (nodes, k) that are given (n, k) at `nodes`, zero elsewhere. Collective."""
         result = np.zeros((self._cells.V.dofmap.index_map.size_local, values.shape[1]))
-        result[self.nodes] = values
+        result[self._facing] = values
         return self._cells.spread(result)
 
     def _jumps(self, values: Array) -> Array:
@@ -184,21 +155,15 @@ class ContactSurface:
         return values - self._at_nodes(facing.array.reshape(-1, values.shape[1]))
 
     def _carried(self, values: Array) -> Array:
-        """Return values (nodes, d) of `nodes`, and opposite ones at partners: transposed jumps.
-
-        Collective.
-        """
+        """Return values (nodes, d) of `nodes`, and opposite ones at partners. Collective."""
         unknowns, facing = self._opposite.createVecs()
-        facing.array = values[self.nodes].ravel()
+        facing.array = values[self._facing].ravel()
         self._opposite.multTranspose(facing, unknowns)
         opposites = self._cells.spread(unknowns.array.reshape(-1, values.shape[1]))
-        return values * self._faces - opposites
+        return self._at_nodes(values[self._facing]) - opposites
 
     def _coefficients(self, values: Array) -> Array:
-        """Return Bernstein's coefficients (m, d, d, d) of jumps on the secondary facets.
-
-        Collective.
-        """
+        """Return Bernstein's coefficients (m, d, d, d) of jumps on facets. Collective."""
         return bernstein(self._jumps(values)[self._nodes])
 
     def lift(self, v: fem.Function) -> None:
@@ -230,30 +195,35 @@ class ContactSurface:
         steps = np.divide(excess, room, out=np.zeros_like(room), where=room > 0.1)
         return np.asarray(steps @ self._axes)
 
-    def defects(self, v: fem.Function) -> tuple[Array, Array, float]:
+    def defects(self, v: fem.Function) -> Array:
         """Return by how much tractions and jumps miss the law of contact. Collective.
 
-        Returns:
-            the integrals (m,) over facets of p (d - v_n), upper bounds (m,) of those of g |v_t - s|
-            + t (v_t - s), and the largest penetration, or jump of bonded surfaces.
+        The result (m, 2) has the integrals over facets of p (d - v_n), and upper bounds of those of
+        g |v_t - s| + t (v_t - s).
+
+        Raises:
+            InputError: v penetrates, or has jumps of bonded surfaces.
         """
         jumps = self._coefficients(v.x.array.reshape(-1, self._cells.d))
-        closing, pressure = jumps @ self.normal, -self.tractions @ self.normal
-        friction = self.tractions + pressure[:, :, None] * self.normal
+        closing, pressure = jumps @ self._normal, -self._tractions @ self._normal
+        friction = self._tractions + pressure[:, :, None] * self._normal
         openings = pair_means(self._gaps[self._corners])[..., 0] - closing
-        slips = jumps - closing[..., None] * self.normal
+        slips = jumps - closing[..., None] * self._normal
         slips -= pair_means(self._origins[self._corners])
-        areas = self._cells.areas[self.cell, self.facet]
+        areas = self._cells.areas[self.cell, self._facet]
         products = areas[:, None, None, None] * mean_products(self._cells.d, 3)
         bounds, sizes = self._bounds[self._corners], np.linalg.norm(slips, axis=3)
         complementarity = np.einsum("mk,mkij,mij->m", pressure, products, openings)
         lack = np.einsum("mk,mkij,mij->m", bounds, products, sizes)
         lack += np.einsum("mkd,mkij,mijd->m", friction, products, slips)
-        depth = np.abs(jumps) if self.bonded else -openings
-        return complementarity, lack, float(depth.max(initial=0.0))
+        depths = jumps if self._bonded else np.minimum(openings, 0.0)
+        deepest, size = largest_sizes(self._cells.V.mesh.comm, depths, v.x.array)
+        needed = f"prescribed displacements that do not penetrate, unlike those of {self._pair}"
+        self._cells.require(deepest <= PENETRATION * size, needed)
+        return np.stack([complementarity, lack], axis=1)
 
 
-def _with_all_nodes(V: Any, group: PairGroup) -> PairOperators:
+def _with_all_nodes(V: Any, pair: ContactPair) -> PairOperators:
     """Pair surfaces as if nothing were prescribed: all nodes have jumps and distances. Collective.
 
     The log has the pairing of the problem already.
@@ -263,6 +233,6 @@ def _with_all_nodes(V: Any, group: PairGroup) -> PairOperators:
     logger.setLevel(logging.ERROR)
     try:
         nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
-        return joined(pair_group(V, nothing, group))
+        return pair_surfaces(V, nothing, pair)
     finally:
         logger.setLevel(level)

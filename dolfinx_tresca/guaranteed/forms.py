@@ -9,14 +9,13 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.guaranteed.cells import MeshCells, lagrange, symmetric_basis
+from dolfinx_tresca.guaranteed.cells import QUADRATIC_TRACE, TRACE, MeshCells, lagrange
 from dolfinx_tresca.stiffness.forms import has_stresses
 
-#: Variation of a stiffness inside a cell, and energy of a rotation, relative to the stiffness, that
-#: count as rounding.
+#: Forces that a constant stiffness does not explain, relative to it, that count as rounding.
 STIFFNESS_ROUNDING = 1e-9
 
-#: Square of the difference of two unit normals that counts as rounding.
+#: Difference of the cosine of two unit normals from 1 that counts as rounding.
 NORMAL_ROUNDING = 1e-8
 
 #: Quadrature of the squared distance of a load from its projection: exact for polynomials of degree
@@ -25,18 +24,17 @@ NORMAL_ROUNDING = 1e-8
 SQUARES = {"quadrature_degree": 10}
 
 
-def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
-    """Return the elasticity tensors (n, nsym, nsym) of owned cells in `symmetric_basis`.
+def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, Array]:
+    """Return elasticity tensors (n, d * d, d * d) and their least eigenvalues (n,) for strains.
 
-    For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell;
-    their mean stresses make the tensor. These forces must be those of the mean stress alone, have
-    no resultant, as springs have, and rotations must cause none. Collective.
+    For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell.
+    Their symmetric mean stresses for symmetric gradients make the tensor, which must explain the
+    forces. Collective.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
     slope = fem.Constant(mesh, np.zeros((d, d)))
-    linear = slope * ufl.SpatialCoordinate(mesh)
-    changes = {trial: linear, test: ufl.TestFunction(cells.quadratics)}
+    changes = {trial: slope * ufl.SpatialCoordinate(mesh), test: ufl.TestFunction(cells.quadratics)}
     work = fem.form(ufl.replace(a, changes), entity_maps=maps)
     results = []
     for gradient in np.eye(d * d).reshape(-1, d, d):
@@ -48,34 +46,25 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> Array:
     places, basis, _ = lagrange(corners)
     nodes = places @ (cells.points - cells.points[:, :1])
     stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
-    tensors = symmetric_basis(d).reshape(-1, d * d)
-    result: Array = tensors @ stresses.reshape(n, d * d, d * d) @ tensors.T
-    mean_stresses = (tensors.T @ result @ tensors).reshape(stresses.shape)
+    tensors = stresses.reshape(n, d, d, d, d)
+    tensors = 0.5 * (tensors + np.swapaxes(tensors, 1, 2))
+    tensors = 0.5 * (tensors + np.swapaxes(tensors, 3, 4))
     mean_slopes = 2.0 / corners * basis.sum(axis=0).T @ cells.gradients
-    of_mean_stress = mean_slopes[:, None] @ np.swapaxes(mean_stresses, 2, 3)
-    by_slope = forces.reshape(n, d, d, -1)
-    kinds = {integral.integral_type() for integral in a.integrals()}
+    of_mean_stress = mean_slopes[:, None] @ np.swapaxes(tensors.reshape(stresses.shape), 2, 3)
+    result: Array = tensors.reshape(n, d * d, d * d)
+    difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
     rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2) / cells.heights.min(axis=1)
-
-    def vanishes(difference: Array) -> bool:
-        return bool((np.abs(difference.T) <= rounding).all())
-
+    least = np.linalg.eigvalsh(result)[:, d * (d - 1) // 2]  # rotations have the eigenvalue zero
+    is_constant = {integral.integral_type() for integral in a.integrals()} == {"cell"}
+    is_constant &= bool((difference <= rounding).all())
     cells.require(
-        kinds == {"cell"} and vanishes(forces.sum(axis=2)),
-        "a form a of integrals over cells, of the strain alone; this one also has integrals over "
-        "facets, or depends on the displacement itself, as springs do, or on a volume's mean",
+        is_constant and (least > 0.0).all(),
+        "a form a of integrals over cells, of the strain alone, with positive moduli that are "
+        'constant in each cell: interpolate them into a space ("DG", 0). This form has moduli that '
+        "vary in cells, or integrals over facets, or depends on the displacement itself, as "
+        "springs do, or on a volume's mean, or gives rotations an energy",
     )
-    cells.require(
-        vanishes(by_slope - np.swapaxes(by_slope, 1, 2)),
-        "a form a of the symmetric gradient; this one gives rotations an energy",
-    )
-    cells.require(
-        vanishes(forces - of_mean_stress),
-        'a stiffness that is constant in each cell. Interpolate the moduli into a space ("DG", 0)',
-    )
-    positive = (np.linalg.eigvalsh(result) > 0.0).all()
-    cells.require(positive, "a stiffness in every cell, and positive moduli")
-    return result
+    return result, np.asarray(least)
 
 
 def loads(
@@ -83,13 +72,9 @@ def loads(
 ) -> tuple[Array, Array]:
     """Return the linear projections of the loads of a form, and their distances. Collective.
 
-    Projections have the degree that UFL estimates, and are exact for polynomials; distances from
-    them are exact for polynomials of degree up to 5, see `SQUARES`. The difference of a load and
-    its projection is split into a quadratic function and a remainder: quadratic tractions do less
-    work (`largest_work`).
-
     `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
-    relative to the energy norm: in the cell, and on each facet.
+    relative to the energy norm: in the cell, and on each facet. Projections have the degree that
+    UFL estimates, and are exact for polynomials.
 
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
@@ -113,13 +98,13 @@ def loads(
     # a form integrates over all facets of a cell. For the integral over one facet of each cell,
     # `normal` is the normal of this facet, and the integrand is zero where normals differ
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
-    difference = ufl.FacetNormal(mesh) - normal
-    on_facet = ufl.conditional(ufl.lt(ufl.inner(difference, difference), NORMAL_ROUNDING), 1.0, 0.0)
+    cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
+    on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)
     terms = list(cells.terms(loading))
     for integral in L.integrals():
         indicator, ratio, numbers = 1.0, 1.0, range(1)
         if integral.integral_type() != "cell":
-            indicator, ratio = on_facet, cells.quadratic_ratio
+            indicator, ratio = on_facet, QUADRATIC_TRACE[d] / TRACE[d]
             numbers = range(1, corners + 1)
         axes = [ufl.replace(integral.integrand(), {argument: ufl.as_vector(e)}) for e in np.eye(d)]
         square = sum((load - quadratic_load[i]) ** 2 for i, load in enumerate(axes))
@@ -133,8 +118,7 @@ def loads(
         )
         for number in numbers:
             vertices, sizes, load = terms[number]
-            if number > 0:
-                normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
+            normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
             linear, _, means = lagrange(len(vertices))
             basis_dofs = cells.dofs[:, lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0]
             moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
@@ -146,9 +130,6 @@ def loads(
             values -= linear @ projection
             load += projection  # a view of the loading
             quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
-            # the factor R_F of a traction that is orthogonal to linear functions is too large for
-            # its quadratic part, whose factor is Q_F = R_F cos(theta_F): docs/theory/guaranteed.md
-            angle = np.arccos(ratio) - np.arctan2(remainder, quadratic)
-            work = np.hypot(quadratic, remainder) * np.cos(np.maximum(angle, 0.0))
+            work = np.minimum(np.hypot(quadratic, remainder), ratio * quadratic + remainder)
             oscillation += factors[:, number] * work
     return loading, oscillation

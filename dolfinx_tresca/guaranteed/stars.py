@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from petsc4py import PETSc
-
 import numpy as np
+from scipy.sparse import bsr_array, diags_array
+from scipy.sparse.linalg import splu
 
 from dolfinx_tresca._base.arrays import Array, Mask
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
 from dolfinx_tresca.guaranteed.cells import MeshCells, mean_products, opposite, rigid_motions
 
 #: Stiffness, relative to that of a cell, that is added so that no star is loose. Equations of stars
@@ -19,11 +19,12 @@ class Stars:
     """The stars of vertices: for each vertex the cells around it.
 
     A star balances the forces that are missing at its vertex, cell by cell in force and moment, by
-    tractions on the facets at the vertex (docs/theory/guaranteed.md). The stiffness of a facet is
-    the sum of those of its two sides, the same in the stars of its d vertices.
+    the least tractions on the facets at the vertex (docs/theory/guaranteed.md). The energy of
+    `_roots` times numbers (facets, d * d, 1) is the numbers' squared length, and `_work` times them
+    is the work on the rigid motions about each vertex of each cell.
 
     Tractions are on this rank's facets, ghosts included; loadings are of the cells it owns. The
-    rank that owns a vertex solves the equations of its star, with a row for each cell.
+    rank that owns a vertex solves the equations of its star.
     """
 
     def __init__(self, cells: MeshCells, stiffness: Array, free: Mask) -> None:
@@ -32,112 +33,90 @@ class Stars:
         Tractions on facets have energies (n, d + 1, d * d, d * d), and are `free` (n, d + 1, d)
         along axes.
         """
-        d, sides, comm = cells.d, opposite(cells.d), cells.V.mesh.comm
+        d, comm, topology = cells.d, cells.V.mesh.comm, cells.V.mesh.topology
         self._cells, (n, corners) = cells, cells.facets.shape
-        self._sides = cells.facet_sums(np.ones((*cells.facets.shape, 1, 1)))
         sums = cells.facet_sums(stiffness)
         unknown = np.tile(cells.facet_sums(free[:, :, None].astype(np.float64)) > 0.0, d)
-        diagonal = np.trace(sums, axis1=1, axis2=2)[:, None, None] * np.eye(d * d)
         both = np.swapaxes(unknown, 1, 2) & unknown
-        self._softness = both * np.linalg.inv(np.where(both, sums, diagonal))
-        # work of tractions on the rigid motions about each vertex of a facet: equal on both sides
-        points, areas = np.zeros((len(sums), 1, d, d)), np.zeros((len(sums), 1, 1, 1, 1))
-        points[cells.facets, 0] = cells.points[:, sides]
-        areas[cells.facets, 0, 0, 0, 0] = cells.areas
-        motions = rigid_motions(points - np.swapaxes(points, 1, 2))
-        work = areas * (mean_products(d, 2) @ motions)
-        self._work = work.reshape(len(sums), d, -1, d * d)
+        diagonal = np.trace(sums, axis1=1, axis2=2)[:, None, None] * np.eye(d * d)
+        self._roots = both * np.linalg.cholesky(np.linalg.inv(np.where(both, sums, diagonal)))
 
-        # equations of graphs: cells are the nodes, facets the edges, with blocks as weights
-        weights = self._work @ self._softness[:, None] @ np.swapaxes(self._work, 2, 3)
-        size = weights.shape[-1]
-        # numbers of rows at the owners of the vertices: of cells, and of those across facets
-        starts = comm.allgather(cells.V.mesh.topology.index_map(0).local_range[0])
-        owner = np.searchsorted(starts, cells.vertices.ravel(), side="right") - 1
-        received, senders = exchange(comm, owner, owner)
-        start = comm.scan(len(received)) - len(received)
-        numbers = np.empty(owner.shape)
-        numbers[np.argsort(owner, kind="stable")], _ = exchange(
-            comm, start + np.arange(float(len(received))), senders
-        )
-        numbers = numbers.reshape(n, corners)
-        # a block for each facet at the vertex of a row, and one in place of the opposite facet
-        columns = np.repeat(numbers[:, :, None], corners, axis=2)
-        blocks = np.zeros((n, corners, corners, size, size))
-        near, inside = numbers[:, sides, None], self._sides[cells.facets] == 2.0
-        across = np.where(inside, cells.facet_sums(near)[cells.facets] - near, near)
-        weights, facet = weights[cells.facets], np.arange(corners)[:, None]
-        columns[:, sides, facet] = across[..., 0]
-        blocks[:, sides, facet] = np.where(inside[..., None], -weights, 0.0)
-        for j, vertices in enumerate(sides):
-            blocks[:, vertices, vertices] += weights[:, j]
-        diagonal = np.einsum("nvvii->nvi", blocks)  # a view
-        diagonal += np.where(diagonal > 0.0, LOOSE * diagonal, 1.0)
+        # the facets at vertex k are opposite to the vertices near[k]
+        near = opposite(d)
+        arms = cells.points[:, near[near]] - cells.points[:, :, None, None]
+        work = mean_products(d, 2) @ rigid_motions(arms)
+        work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None]
+        facets, size = cells.facets[:, near], work.shape[3]
+        work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
+        starts = np.arange(0, facets.size + 1, d, dtype=np.int32)
+        self._work = bsr_array(
+            (work.reshape(-1, size, d * d), facets.ravel(), starts),
+            shape=(size * n * corners, d * d * len(sums)),
+        ).tocsr()
 
-        layout = size * len(received), PETSc.DETERMINE
-        matrix = PETSc.Mat().createBAIJ((layout, layout), size, nnz=(corners, 0), comm=comm)
-        starts = np.arange(0, columns.size + 1, corners)
-        pattern = [array.ravel().astype(PETSc.IntType) for array in (starts, columns, numbers)]
-        matrix.setValuesBlockedIJV(
-            *pattern[:2], blocks.ravel(), addv=PETSc.InsertMode.ADD, rowmap=pattern[2]
-        )
-        matrix.assemble()
-        rows = PETSc.IS().createBlock(size, pattern[2], comm=PETSc.COMM_SELF)
-        self._at_cells = PETSc.Vec().createSeq(blocks.shape[0] * corners * size)
-        self._missing, self._supports = matrix.createVecs()
-        self._scatter = PETSc.Scatter().create(self._missing, rows, self._at_cells, None)
-        self._factors = PETSc.PC().create(PETSc.COMM_SELF)
-        self._factors.setType("lu")  # in blocks faster than "cholesky"
-        self._factors.setFactorSolverType("petsc")
-        self._factors.setFactorOrdering("rcm")
-        self._factors.setOperators(matrix.getDiagonalBlock())
+        # each star has its own tractions: numbers of facets, and of its vertex among theirs
+        place = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
+        index_map = topology.index_map(d - 1)
+        columns = index_map.local_to_global(facets.ravel()).reshape(facets.shape) * d + place
+        firsts = comm.allgather(topology.index_map(0).local_range[0])
+        self._owner = np.searchsorted(firsts, cells.vertices.ravel(), side="right") - 1
+        columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
+        work, _ = exchange(comm, work.reshape(n * corners, -1), self._owner)
         with errors_on_all_ranks(comm):
-            self._factors.setUp()
+            columns = np.unique(columns.ravel(), return_inverse=True)[1].astype(np.int32)
+            starts = np.arange(0, columns.size + 1, d, dtype=np.int32)
+            rows = bsr_array(
+                (work.reshape(-1, size, d * d), columns, starts),
+                shape=(size * len(work), d * d * columns.size),
+            )
+            equations = (rows @ rows.T).tocsc()
+            diagonal = equations.diagonal()
+            diagonal = np.where(diagonal > 0.0, LOOSE * diagonal, 1.0)
+            equations += diags_array(diagonal, format="csc")
+            self._factors = splu(
+                equations,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
 
     def _balancing(self, missing: Array) -> Array:
-        """Return the least tractions with the forces and moments (n, d + 1, r), of all stars."""
-        cells, insert = self._cells, PETSc.InsertMode.INSERT
-        self._at_cells.array = missing.ravel()
-        self._scatter.scatter(self._at_cells, self._missing, insert, PETSc.ScatterMode.REVERSE)
-        right, result = (
-            PETSc.Vec().createWithArray(vector.array, comm=PETSc.COMM_SELF)
-            for vector in (self._missing, self._supports)
-        )
-        self._factors.apply(right, result)
-        self._scatter.scatter(self._supports, self._at_cells, insert)
-        supports = self._at_cells.array.reshape(missing.shape)[:, opposite(cells.d)]
-        differences = cells.facet_sums(cells.signs * supports)
-        forces = (differences[:, :, None] @ self._work).sum(axis=1)
-        return np.asarray((forces @ self._softness)[:, 0])
+        """Return the least tractions (facets, d * d, 1) of all stars in terms of `_roots`.
+
+        They have the forces and moments (n, d + 1, r) at the vertices of cells. Collective.
+        """
+        comm, owner = self._cells.V.mesh.comm, self._owner
+        right, _ = exchange(comm, missing.reshape(len(owner), -1), owner)
+        solution = self._factors.solve(right.ravel()).reshape(right.shape)
+        returned, _ = exchange(comm, solution, self._senders)
+        supports = np.empty_like(returned)
+        supports[np.argsort(owner, kind="stable")] = returned
+        tractions = (supports.ravel() @ self._work).reshape(self._roots.shape[:2])
+        index_map = self._cells.V.mesh.topology.index_map(self._cells.d - 1)
+        return summed_at_nodes(index_map, np.arange(len(tractions)), tractions)[..., None]
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return a loading without resultants that decreases a quadratic function. Collective.
 
-        It is the sum of the best corrections of all stars, with the stiffnesses of facets in place
-        of the second derivative; `gradient` (n, d + 1, d + 1, d) is minus the derivative by the
-        loading.
+        It is the sum of the best corrections of all stars; `gradient` (n, d + 1, d + 1, d) is minus
+        the derivative by the loading.
         """
         cells, d = self._cells, self._cells.d
         forces = cells.facet_sums(cells.signs * gradient[:, :, :d]).reshape(-1, d * d, 1)
-        tractions = self._softness @ forces
-        resultants = (self._work @ tractions[:, None])[..., 0]
-        total = np.zeros((*cells.facets.shape, resultants.shape[-1]))
-        for j, vertices in enumerate(opposite(d)):
-            total[:, vertices] += cells.signs[:, j] * resultants[cells.facets[:, j]]
-        return cells.on_sides(d * tractions[..., 0] - self._balancing(total))
+        tractions = np.swapaxes(self._roots, 1, 2) @ forces
+        total = (self._work @ tractions.ravel()).reshape(*cells.facets.shape, -1)
+        return cells.on_sides(self._roots @ (d * tractions - self._balancing(total)))
 
-    def equilibrated(self, loading: Array, force: Array) -> Array:
-        """Return a loading that balances forces (n, d + 1, d) at vertices of cells. Collective.
+    def equilibrated(self, loading: Array, stress: Array) -> Array:
+        """Return a loading that does the work of a stress at the vertices of cells. Collective.
 
         Its tractions are the given ones, elsewhere the means of those of both sides, with the least
-        corrections of all stars. Sums of the forces around vertices are those of the loads and
-        given tractions.
+        corrections of all stars. `stress` is the loading of a stress in discrete equilibrium.
         """
         cells, d = self._cells, self._cells.d
-        means = cells.facet_sums(cells.signs * loading[:, :, :d]) / self._sides
-        result = cells.on_sides(means.reshape(-1, d * d))
+        result = cells.on_sides(cells.facet_sums(cells.signs * loading[:, :, :d]) / cells.sides)
         result[:, :, d] = loading[:, :, d]
-        missing = force - cells.resultants(result)
         # a force at the vertex itself has no moment about it
-        missing = np.pad(missing, ((0, 0), (0, 0), (0, d * (d - 1) // 2)))
-        return result + cells.on_sides(self._balancing(missing))
+        moments = (0, 0), (0, 0), (0, d * (d - 1) // 2)
+        missing = np.pad(cells.resultants(stress - result), moments)
+        return result + cells.on_sides(self._roots @ self._balancing(missing))

@@ -311,8 +311,8 @@ class ContactProblem(ContactProcess):
         """Return proven bounds from both sides of a goal in the exact solution. Collective.
 
         For problems and exact solutions as in `guaranteed_error`, without friction that depends on
-        the pressure. Six to ten further problems are solved, with the load plus and minus a
-        multiple of the goal (docs/theory/guaranteed.md). Where contact does not change with the
+        the pressure. Eight further problems are solved, with the load plus and minus multiples of
+        the goal (docs/theory/guaranteed.md). Where contact does not change with the
         load, the width of the interval is about the product of the errors of the displacement and
         of the goal's adjoint; where contact changes, the interval is wider.
 
@@ -338,7 +338,7 @@ class ContactProblem(ContactProcess):
         """
         bodies, solved, gain = self._checked_for_bounds(gain)
         contact, linear = self._contact, self._contact.linear
-        functional = bound.Functional.of_goal(goal, bodies, solved.dual)
+        functional = bound.Functional(goal, bodies, solved.dual)
         multiple, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = multiple * functional.form if L is None else L + multiple * functional.form
         # differences of these solves count
@@ -354,9 +354,7 @@ class ContactProblem(ContactProcess):
             return bodies.candidate(loaded.dual, loaded.multipliers, loaded.fields.u, balanced)
 
         with contact.restored(), linear.loaded(load):
-            return bound.guaranteed_goal(
-                functional, bodies, solved.dual, solved.fields.u, candidate, gain
-            )
+            return functional.interval(solved.fields.u, candidate, gain)
 
     def _checked_for_bounds(self, gain: Any) -> tuple[bound.Bodies, StepSolution, float]:
         """Check that the last solution has guaranteed bounds. Collective."""

@@ -46,7 +46,7 @@ def test_cells_that_are_no_simplices(comm):
 def test_curved_obstacles(scene):
     ball = RigidSphere((0.5, -1.0, 0.0), 1.0)
     pairs = [ContactPair(scene.facet_tags, CONTACT, ball, Frictionless())]
-    assert "rigid planes, or bodies of degree 1" in refusal(scene, pairs=pairs)
+    assert "rigid planes, or of bodies of degree 1" in refusal(scene, pairs=pairs)
 
 
 def test_meshes_that_do_not_match(comm):
