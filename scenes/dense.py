@@ -41,6 +41,10 @@ class OneRank:
         product = x.T @ y
         return product.toarray() if issparse(product) else product
 
+    def largest(self, value: float) -> float:
+        """Return the value."""
+        return value
+
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
         """Return x'y."""
         return csr_array(x.T @ y)

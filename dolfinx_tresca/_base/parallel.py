@@ -161,6 +161,10 @@ class RankReductions:
         product: Any = x.T @ y
         return reduce_array(self.comm, product.toarray() if issparse(product) else product)
 
+    def largest(self, value: float) -> float:
+        """Return the largest value of all ranks. Collective."""
+        return float(reduce_array(self.comm, value, MPI.MAX))
+
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
         """Return x'y for sparse x and y (size, k), summed in the order of ranks. Collective."""
         product, *further_products = self.comm.allgather(csr_array(x.T @ y))

@@ -33,6 +33,9 @@ class Reductions(InnerProduct, Protocol):
     def total(self, x: Array) -> Array:
         """Return the sum of x over all ranks."""
 
+    def largest(self, value: float) -> float:
+        """Return the largest value of all ranks."""
+
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
         """Return x'y over all ranks, equal on all ranks, for sparse x and y of shape (size, k)."""
 

@@ -125,9 +125,12 @@ class FeasibleSet:
         result[self.tangential] = values[self.node]
         return result
 
-    def dilation(self, x: Array, r: Array) -> Array:
-        """Return the slope dg/dp times the slip in the normal rows (size,)."""
-        return self.at_normals(self.slopes(x)[0] * self.norms(r))
+    def linear_bounds(self) -> list[tuple[Array, Array]]:
+        """Return functions a + s p of the pressure p, whose minimum is the bound: a, s (n_discs,).
+
+        The constant a may be infinite.
+        """
+        return [(self.radius, np.zeros_like(self.radius))]
 
     def sums(self, v: Array) -> Array:
         """Return the sums (n_discs,) of the tangential entries of v (size,) in each disc."""
@@ -347,6 +350,11 @@ class FrictionCones(FeasibleSet):
             slip = np.where((self.norms(target) <= at_rest) & ~weakens, 0.0, slip)
         moved = dataclasses.replace(self, slip=slip)
         return dataclasses.replace(moved, coefficient=moved._coefficients(pressure))
+
+    def linear_bounds(self) -> list[tuple[Array, Array]]:
+        """Return functions of the pressure whose minimum is the bound, for fixed coefficients."""
+        limit = self.radius + self.limit
+        return [(self.radius, self.coefficient), (limit, np.zeros_like(limit))]
 
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds at the pressures of x (size,)."""

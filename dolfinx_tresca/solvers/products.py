@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -456,16 +455,6 @@ class WholeModel:
         start = np.ones(matrix.shape[0])
         values = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
         return float(self._reductions.from_first_rank(values)[0])
-
-    def softened(self, softness: float) -> WholeModel:
-        """Return the model A + s diag(A) of contact on a soft layer at each node. Collective.
-
-        The softness s is the compliance of the layer relative to that of the node.
-        """
-        layer = diags_array(self._gathered(softness * self.diagonal), format="csr")
-        model = copy(self)
-        model._shifted = self._matrix + layer
-        return model
 
     def solve_between(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array

@@ -1,0 +1,217 @@
+"""An interior-point method for the laws of contact and friction with a known A. Numpy only.
+
+Its points are bad near the solution, where `SemismoothNewton` is exact, but the number of its steps
+hardly depends on the number of bodies, and it needs no initial guess.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array
+
+from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.tolerances import MOST_STEPS
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
+from dolfinx_tresca.solvers.problem import DualProblem
+from dolfinx_tresca.solvers.products import NodalMaps, WholeModel
+
+#: The method ends when the mean complementarity is below this multiple of its first value. The
+#: energy of what pressures and gaps lack of the solution is then 1e-16 of the whole; Newton's
+#: method, which takes a few steps from there, finds the rest.
+COMPLEMENTARY = 1e-12
+
+#: Part of the way to the boundary of the cones that a step takes at most.
+TO_BOUNDARY = 0.99
+
+#: Least and largest centring of a step, which is the factor by which it is to reduce the mean
+#: complementarity: the square of the part that the previous step had to leave, between both.
+LEAST_CENTRING, LARGEST_CENTRING = 0.05, 0.8
+
+#: First softness of the constraints, times the softness with which Newton's method starts. It falls
+#: with the root of the complementarity. With 1 in place of 100, a body of a pile that its contacts
+#: hardly hold moves away from it.
+FIRST_SOFTNESS = 100.0
+
+
+class SecondOrderCones:
+    """The second-order cones y_0 >= |(y_1, y_2)| with y = H x + h that contain multipliers x.
+
+    They are the half-lines of pressures, and a cone or a disc for each linear function of the
+    pressure that bounds friction. A bound that is a constant makes a disc; without a bound, or if
+    it is infinite, there is no cone.
+
+    Attributes:
+        free: (size,) 1; 0 for multipliers that a bound of zero forbids.
+        constant: (m, 3) h.
+    """
+
+    def __init__(self, cones: FeasibleSet, size: Array) -> None:
+        """Find the cones of this rank; `size` (size,) is diag(A). Not collective."""
+        self.size, discs = cones.size, np.arange(len(cones.radius))
+        order = np.argsort(cones.node, kind="stable")
+        node = cones.node[order]
+        tangents = np.full((len(discs), 2), -1)
+        tangents[node, np.arange(len(node)) - np.searchsorted(node, node)] = cones.tangential[order]
+        self.free = 1.0 - cones.at_tangents((~cones.movable).astype(float))
+        # y is in units of energy^(1/2), equally for the three components
+        of_disc, of_normal = np.sqrt(cones.disc_means(size)), np.sqrt(size[cones.normal])
+        none = np.full((len(cones.normal), 2), -1)
+        positions: list[Indices] = [np.column_stack([cones.normal, none])]
+        scales, constants = [np.tile(of_normal[:, None], 3)], [np.zeros(len(cones.normal))]
+        for constant, slope in cones.linear_bounds():
+            bounded = discs[cones.movable & np.isfinite(constant) & (tangents[:, 0] >= 0)]
+            slope = np.where(cones.normal_of >= 0, slope, 0.0)[bounded]
+            normals = np.where(slope > 0.0, cones.normal_of[bounded], -1)
+            positions.append(np.column_stack([normals, tangents[bounded]]))
+            factors = np.column_stack([slope, np.ones_like(slope), np.ones_like(slope)])
+            scales.append(of_disc[bounded, None] * factors)
+            constants.append(of_disc[bounded] * constant[bounded])
+        self._position = np.vstack(positions)
+        self._scale = np.where(self._position >= 0, np.vstack(scales), 0.0)
+        self.constant = np.zeros_like(self._scale)
+        self.constant[:, 0] = np.concatenate(constants)
+
+    def linear(self, x: Array) -> Array:
+        """Return H x (m, 3)."""
+        return np.asarray(self._scale * np.append(x, 0.0)[self._position])
+
+    def transposed(self, z: Array) -> Array:
+        """Return H'z (size,)."""
+        result = np.zeros(self.size + 1)
+        np.add.at(result, self._position, self._scale * z)
+        return result[:-1]
+
+    def between(self, blocks: Array) -> csr_array:
+        """Return H'D H (size, size) with the blocks D (m, 3, 3) of each cone."""
+        values = self._scale[:, :, None] * blocks * self._scale[:, None]
+        rows = np.broadcast_to(self._position[:, :, None], values.shape)
+        columns = np.broadcast_to(self._position[:, None], values.shape)
+        used = (rows >= 0) & (columns >= 0)
+        entries = values[used], (rows[used], columns[used])
+        return csr_array(coo_array(entries, shape=(self.size, self.size)))
+
+
+def determinants(y: Array) -> Array:
+    """Return y_0^2 - |(y_1, y_2)|^2 (m,), positive inside of the cones, also if it is rounding."""
+    length = np.linalg.norm(y[:, 1:], axis=1)
+    inside = np.maximum(y[:, 0] - length, np.finfo(float).eps * y[:, 0])
+    return np.asarray(inside * (y[:, 0] + length))
+
+
+def reflected(y: Array) -> Array:
+    """Return J y = (y_0, -y_1, -y_2), (m, 3)."""
+    return np.asarray(y * np.array([1.0, -1.0, -1.0]))
+
+
+def blow_up(y: Array, step: Array) -> Array:
+    """Return 1 / t (m,) with the largest t for which y + t step is in its cone; 0 if any t is."""
+    root = np.sqrt(determinants(y))
+    unit = y / root[:, None]
+    along = (reflected(unit) * step).sum(axis=1)
+    across = step[:, 1:] - ((along + step[:, 0]) / (1.0 + unit[:, 0]))[:, None] * unit[:, 1:]
+    return np.asarray(np.maximum((np.linalg.norm(across, axis=1) - along) / root, 0.0))
+
+
+class Scaling:
+    """The symmetric maps W of Nesterov and Todd (1997) with W z = W^-1 y, for y and z in cones."""
+
+    def __init__(self, y: Array, z: Array) -> None:
+        """Compute the maps for points y, z (m, 3) inside of the cones."""
+        of_y, of_z = determinants(y), determinants(z)
+        a, b = y / np.sqrt(of_y)[:, None], z / np.sqrt(of_z)[:, None]
+        mean = np.sqrt(0.5 * (1.0 + (a * b).sum(axis=1)))
+        self._axis = (a + reflected(b)) / (2.0 * mean)[:, None]
+        self._size = ((of_y / of_z) ** 0.25)[:, None]
+
+    def _turned(self, v: Array, axis: Array) -> Array:
+        along = (axis[:, 1:] * v[:, 1:]).sum(axis=1)
+        turned: Array = v + (v[:, 0] + along / (1.0 + axis[:, 0]))[:, None] * axis
+        turned[:, 0] = axis[:, 0] * v[:, 0] + along
+        return turned
+
+    def apply(self, v: Array) -> Array:
+        """Return W v (m, 3)."""
+        return self._size * self._turned(v, self._axis)
+
+    def invert(self, v: Array) -> Array:
+        """Return W^-1 v (m, 3)."""
+        return self._turned(v, reflected(self._axis)) / self._size
+
+    def inverse_square(self) -> Array:
+        """Return W^-2 (m, 3, 3)."""
+        axis = reflected(self._axis)
+        blocks = 2.0 * axis[:, :, None] * axis[:, None] - np.diag([1.0, -1.0, -1.0])
+        return np.asarray(blocks / self._size[:, :, None] ** 2)
+
+
+def interior_point(
+    problem: DualProblem, model: WholeModel, cones: FeasibleSet, r: Array, softness: float
+) -> tuple[Array, Array]:
+    """Return multipliers x (size,) and c (k,) near a solution with the model M of A. Collective.
+
+    With cones y = H x + h and z in the same cones, the method solves
+
+        M x + r - G c - H'(z - o) = 0,   G'x + S c = e,   y'z = 0,
+
+    where r (size,) is the gradient at zero. For Tresca's law o is zero: these are the conditions of
+    a minimum, (y_1, y_2) are tractions and (z_1, z_2) slips. For cones that open with the pressure,
+    they would be those of a friction that opens the gap by F |slip|. Hence o_0 = |(z_1, z_2)|
+    takes this opening back (de Saxcé and Feng 1998, The bipotential method); the equations are then
+    those of Coulomb's law, as in Acary, Armand and Nguyen (2023, interior-point methods for
+    frictional contact), and not those of a minimum.
+
+    Each step solves these equations, linearised, with y'z reduced by the centring in place of
+    zero, in the scaling of Nesterov and Todd; for o, its derivative is used. Steps are limited by
+    the cones. In each step, constraints are softened as in `SemismoothNewton.step`, by a multiple
+    of `softness` that falls to zero.
+    """
+    reductions, constraints = problem.reductions, problem.constraints
+    G = constraints.columns
+    law = SecondOrderCones(cones, model.size)
+    test = diags_array(law.free, format="csr")
+    fixed = model.unit * diags_array(1.0 - law.free, format="csr")
+
+    def largest(values: Array) -> float:
+        return reductions.largest(float(values.max(initial=0.0)))
+
+    def mean(values: Array) -> float:
+        sums = reductions.total(np.array([values.sum(), len(law.constant)]))
+        return float(sums[0] / max(sums[1], 1.0))
+
+    def solution(blocks: Array, right: Array, missing: Array, part: float) -> tuple[Array, Array]:
+        maps = NodalMaps(test, csr_array(law.between(blocks) + fixed), test)
+        soft = constraints.softness_with(FIRST_SOFTNESS * part * softness)
+        return model.solve_between(maps, right, G, soft, missing)
+
+    identity = np.broadcast_to(np.eye(3), (len(law.constant), 3, 3)).copy()
+    x, c = solution(identity, -r - law.transposed(law.constant), constraints.values, 1.0)
+    y = law.linear(x) + law.constant
+    z = -y
+    unit = largest(np.linalg.norm(y, axis=1))
+    for point in (y, z):  # inside of the cones
+        outside = largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
+        point[:, 0] += unit + outside
+    first, centring = mean((y * z).sum(axis=1)), 0.3
+    for _ in range(MOST_STEPS):
+        complementarity = mean((y * z).sum(axis=1))
+        if not complementarity > COMPLEMENTARY * first:
+            break
+        scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
+        both = scaling.apply(z)
+        target = centring * complementarity / determinants(both)[:, None] * reflected(both) - both
+        closed, law_of_z = z.copy(), identity.copy()
+        closed[:, 0] -= slip
+        law_of_z[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
+        blocks = law_of_z @ scaling.inverse_square()
+        lacking = law.linear(x) + law.constant - y
+        change = scaling.invert(target - scaling.invert(lacking))
+        gradient = model.apply(x) + r - G @ c - law.transposed(closed)
+        right = law.transposed(np.einsum("mij,mj->mi", law_of_z, change)) - gradient
+        part = min(1.0, float(np.sqrt(complementarity / first)))
+        dx, dc = solution(blocks, right, constraints.residual(x, c), part)
+        dy = law.linear(dx) + lacking
+        dz = scaling.invert(target - scaling.invert(dy))
+        t = min(1.0, TO_BOUNDARY / max(largest(blow_up(y, dy)), largest(blow_up(z, dz)), 1e-300))
+        x, c, y, z = x + t * dx, c + t * dc, y + t * dy, z + t * dz
+        centring = min(max((1.0 - t) ** 2, LEAST_CENTRING), LARGEST_CENTRING)
+    return x, c
