@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices
 from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualProblem
@@ -113,7 +113,11 @@ def blow_up(y: Array, step: Array) -> Array:
 
 
 class Scaling:
-    """The symmetric maps W of Nesterov and Todd (1997) with W z = W^-1 y, for y and z in cones."""
+    """The symmetric maps W of Nesterov and Todd (1997) with W z = W^-1 y, for y and z in cones.
+
+    Attributes:
+        determinant: (m,) determinant of W z.
+    """
 
     def __init__(self, y: Array, z: Array) -> None:
         """Compute the maps for points y, z (m, 3) inside of the cones."""
@@ -122,6 +126,7 @@ class Scaling:
         mean = np.sqrt(0.5 * (1.0 + (a * b).sum(axis=1)))
         self._axis = (a + reflected(b)) / (2.0 * mean)[:, None]
         self._size = ((of_y / of_z) ** 0.25)[:, None]
+        self.determinant = np.sqrt(of_y * of_z)
 
     def _turned(self, v: Array, axis: Array) -> Array:
         along = (axis[:, 1:] * v[:, 1:]).sum(axis=1)
@@ -157,8 +162,8 @@ def interior_point(
     a minimum, (y_1, y_2) are tractions and (z_1, z_2) slips. For cones that open with the pressure,
     they would be those of a friction that opens the gap by F |slip|. Hence o_0 = |(z_1, z_2)|
     takes this opening back (de Saxcé and Feng 1998, The bipotential method); the equations are then
-    those of Coulomb's law, as in Acary, Armand and Nguyen (2023, interior-point methods for
-    frictional contact), and not those of a minimum.
+    those of Coulomb's law, and not of a minimum. With a given o, each solution is that of a convex
+    problem (Acary, Cadoux, Lemaréchal and Malick 2011); here o changes with z in each step.
 
     Each step solves these equations, linearised, with y'z reduced by the centring in place of
     zero, in the scaling of Nesterov and Todd; for o, its derivative is used. Steps are limited by
@@ -167,51 +172,56 @@ def interior_point(
     """
     reductions, constraints = problem.reductions, problem.constraints
     G = constraints.columns
-    law = SecondOrderCones(cones, model.size)
-    test = diags_array(law.free, format="csr")
-    fixed = model.unit * diags_array(1.0 - law.free, format="csr")
+    cone_map = SecondOrderCones(cones, model.size)
+    test = diags_array(cone_map.free, format="csr")
+    fixed = model.unit * diags_array(1.0 - cone_map.free, format="csr")
 
     def largest(values: Array) -> float:
         return reductions.largest(float(values.max(initial=0.0)))
 
     def mean(values: Array) -> float:
-        sums = reductions.total(np.array([values.sum(), len(law.constant)]))
+        sums = reductions.total(np.array([values.sum(), len(cone_map.constant)]))
         return float(sums[0] / max(sums[1], 1.0))
 
-    def solution(blocks: Array, right: Array, missing: Array, part: float) -> tuple[Array, Array]:
-        maps = NodalMaps(test, csr_array(law.between(blocks) + fixed), test)
-        soft = constraints.softness_with(FIRST_SOFTNESS * part * softness)
-        return model.solve_between(maps, right, G, soft, missing)
+    def solution(blocks: Array, right: Array, missing: Array, soft: float) -> tuple[Array, Array]:
+        maps = NodalMaps(test, csr_array(cone_map.between(blocks) + fixed), test)
+        S = constraints.softness_with(FIRST_SOFTNESS * soft * softness)
+        return model.solve_between(maps, right, G, S, missing)
 
-    identity = np.broadcast_to(np.eye(3), (len(law.constant), 3, 3)).copy()
-    x, c = solution(identity, -r - law.transposed(law.constant), constraints.values, 1.0)
-    y = law.linear(x) + law.constant
+    identity = np.broadcast_to(np.eye(3), (len(cone_map.constant), 3, 3)).copy()
+    x, c = solution(identity, -r - cone_map.transposed(cone_map.constant), constraints.values, 1.0)
+    y = cone_map.linear(x) + cone_map.constant
     z = -y
     unit = largest(np.linalg.norm(y, axis=1))
+    if unit == 0.0:  # no loads
+        return x, c
     for point in (y, z):  # inside of the cones
         outside = largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
         point[:, 0] += unit + outside
-    first, centring = mean((y * z).sum(axis=1)), 0.3
+    at_start, centring = mean((y * z).sum(axis=1)), LARGEST_CENTRING
     for _ in range(MOST_STEPS):
         complementarity = mean((y * z).sum(axis=1))
-        if not complementarity > COMPLEMENTARY * first:
+        if not complementarity > COMPLEMENTARY * at_start:
             break
         scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
-        both = scaling.apply(z)
-        target = centring * complementarity / determinants(both)[:, None] * reflected(both) - both
-        closed, law_of_z = z.copy(), identity.copy()
+        scaled = scaling.apply(z)
+        inverse = reflected(scaled) / scaling.determinant[:, None]
+        target = centring * complementarity * inverse - scaled
+        closed, derivative = z.copy(), identity.copy()
         closed[:, 0] -= slip
-        law_of_z[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
-        blocks = law_of_z @ scaling.inverse_square()
-        lacking = law.linear(x) + law.constant - y
+        derivative[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
+        blocks = derivative @ scaling.inverse_square()
+        lacking = cone_map.linear(x) + cone_map.constant - y
         change = scaling.invert(target - scaling.invert(lacking))
-        gradient = model.apply(x) + r - G @ c - law.transposed(closed)
-        right = law.transposed(np.einsum("mij,mj->mi", law_of_z, change)) - gradient
-        part = min(1.0, float(np.sqrt(complementarity / first)))
-        dx, dc = solution(blocks, right, constraints.residual(x, c), part)
-        dy = law.linear(dx) + lacking
+        gradient = model.apply(x) + r - G @ c - cone_map.transposed(closed)
+        right = cone_map.transposed(np.einsum("mij,mj->mi", derivative, change)) - gradient
+        soft = float(np.sqrt(complementarity / at_start))
+        dx, dc = solution(blocks, right, constraints.residual(x, c), soft)
+        dy = cone_map.linear(dx) + lacking
         dz = scaling.invert(target - scaling.invert(dy))
-        t = min(1.0, TO_BOUNDARY / max(largest(blow_up(y, dy)), largest(blow_up(z, dz)), 1e-300))
+        t = min(
+            1.0, TO_BOUNDARY / max(largest(blow_up(y, dy)), largest(blow_up(z, dz)), LEAST_DIVISOR)
+        )
         x, c, y, z = x + t * dx, c + t * dc, y + t * dy, z + t * dz
         centring = min(max((1.0 - t) ** 2, LEAST_CENTRING), LARGEST_CENTRING)
     return x, c
