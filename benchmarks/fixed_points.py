@@ -6,8 +6,8 @@ Each problem has 1 to 8 nodes, a full A with a condition number of up to 1e4, an
 friction F at all nodes; by Brouwer's theorem each problem has a fixed point. The table counts the
 problems that are solved to a relative residual of 1e-7 in the following ways: Newton's method on
 the model of A takes full steps from the present point; it also shortens steps that do not reduce
-the residual; in addition, A is computed whole where the residual falls slowly; and the solutions
-of convex problems are other initial guesses, as in the package.
+the residual; in addition, A is computed whole where the residual falls slowly; and points of an
+interior-point method are other initial guesses, as in the package.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ WAYS: dict[str, tuple[str, tuple[str, ...]]] = {
     "newton": ("Newton's method from the present point", ()),
     "damped": ("and steps shortened", ("damped",)),
     "whole": ("and A known whole", ("damped", "whole")),
-    "all": ("and from convex problems, as built", ("damped", "whole", "convex")),
+    "all": ("and from interior points, as built", ("damped", "whole", "interior")),
 }
 
 
@@ -55,7 +55,7 @@ def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
         change(semismooth_newton, MOST_HALVINGS=0)
     if "whole" not in ways:
         change(ModelNewton, complete_products=lambda self: False)
-    if "convex" not in ways:
+    if "interior" not in ways:
         change(semismooth_newton, GUESSES=0)
     return stack
 

@@ -250,7 +250,7 @@ def solve_from_interior(
     problem, G = newton.problem, newton.problem.constraints.columns
     r_at_zero = start.r - model.apply(start.x) + G @ start.c
     x, r = start.x, np.zeros_like(start.r)
-    for guess in range(1 if problem.admissible.has_given_bounds else GUESSES):
+    for guess in range(GUESSES):
         admissible = problem.admissible.at_point(x, r)
         cones = admissible.section(x) if guess else admissible
         x, c = interior_point(problem, model, cones, r_at_zero, newton.softness)
@@ -258,7 +258,7 @@ def solve_from_interior(
         r = r_at_zero + model.apply(x) - G @ c
         point = newton.solve(newton.point(x, c, r), tolerance)
         best = min(best, point, key=lambda candidate: candidate.residual)
-        if best.residual <= enough:
+        if best.residual <= enough or admissible.has_given_bounds:
             break
     return best
 

@@ -23,8 +23,8 @@ BALANCED, UNBALANCED = 1e-10, 1e-6
 #: turned by 5e-4, which joints of the linear programme with more friction and length allow for.
 LESS_FRICTION, MORE_FRICTION, LONGER = 0.99, 1.01, 1e-3
 
-#: Of 300 piles: those whose fixed point is not found (pile 0 is found or missed as rounding
-#: decides, and another processor may miss another one), and those for which the programmes of
+#: Of 300 piles: those whose fixed point is not found (pile 242, in which a body touches another
+#: almost without force; another processor may miss another one), and those for which the programmes of
 #: shorter and of longer joints differ.
 MISSED, DECIDED_BY_MESH = 2, 37
 
@@ -87,7 +87,7 @@ def test_piles_stand_as_linear_programmes_say(seed):
     check(seed)
 
 
-# Without the convex problems as other initial guesses of Newton's method, pile 28 is missed.
+# Without points of the interior-point method as other initial guesses, pile 28 is missed.
 @pytest.mark.parametrize("seed", [28])
 def test_piles_whose_fixed_point_is_hard_to_find(seed):
     assert check(seed)[0] == "stands"
