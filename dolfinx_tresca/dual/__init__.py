@@ -36,33 +36,24 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
 1. `ContactProblem.solve` collects options and observer. `ContactSystem.begin_solve` pairs anew
    the surfaces whose obstacles have moved, and returns to the state in which the solve starts.
 2. `ContactSystem.solve` assembles f, evaluates slip bounds and gaps at the nodes, and makes the
-   `DualProgram`. This takes the first solve with K, for u = K^-1 f, from which b follows. An
-   iterative solver for K begins at the `InitialGuess`, two displacements that the surfaces keep
-   from solve to solve: u at zero multipliers, and u at the last ones.
+   `DualProgram`. This takes the first solve with K, for u = K^-1 f, from which b follows.
 3. `iteration.solve` (room `solvers`) chooses the method, by default `ModelNewton.run`. It begins at
    the multipliers of the last solve, or at zero if the residual is smaller there. If bounds depend
-   on the pressure, a load step begins at the tractions of the accepted step, whatever the residual
-   at zero: there may be several fixed points, and a process goes on with the nearest one. The first
-   product bounds the largest eigenvalue of A, from which the step length rho of residuals follows.
+   on the pressure, a load step begins at the tractions of the accepted step: there may be several
+   fixed points, and a process goes on with the nearest one.
 4. Each iteration has two parts. `SemismoothNewton.solve` solves the contact problem with a model M
-   in place of A, by steps that need no product with A; the result is a `NewtonPoint`: multipliers
-   x and c, the gradient at x with M in place of A, and the residual that is left. Then
-   `Iterate.move` takes the step to this point; for given slip bounds and held bodies, the part of
-   it with the least q. This takes a single product with A, a solve with K, which gives the true
+   in place of A, by steps that need no product with A; the result is a `NewtonPoint`. Then
+   `Iterate.move` takes the step to this point, with a single product with A, which gives the true
    gradient and improves M. No product is needed if A is known as a matrix: from the start if it has
    few rows, or bodies are many and small, and later if the iteration is slow
-   (`ContactCompliance.known_products`, `complete_products`).
-5. `History.check_convergence` judges each iterate: by the equilibrium of floating bodies, by `rtol`
-   if it is given, by each node's distance from the traction that it would take if all other nodes
-   were fixed, and by the bound of the energy error. The requested accuracy is by default a part of
-   the mesh's error, which is estimated here, once. The last iterate becomes the `DualSolution`.
-   Without progress the status is STAGNATED or, if bounds depend on the pressure, NO_FIXED_POINT,
-   and `friction_deficit` looks for a motion that friction cannot hold.
+   (`ContactCompliance.known_products`, `complete_products`); and only then `interior_point` helps
+   Newton's method where it fails.
+5. `History.check_convergence` judges each iterate by its criteria. The last iterate becomes the
+   `DualSolution`. Without progress the status is STAGNATED or, if bounds depend on the pressure,
+   NO_FIXED_POINT, and `friction_deficit` looks for a motion that friction cannot hold.
 6. `evaluate` (room `solution`) begins with the closing solve, `DualProgram.end_at`: K u = f - B'x
-   with the last x. The iteration has computed gradients, but with a direct solver no displacement,
-   and with an iterative one a displacement that is only as accurate as the criteria needed; there
-   it is kept if its error is small enough. `in_equilibrium` adds the rigid displacements of
-   floating bodies. All fields, forces, energies and bounds are computed from this u and x.
+   with the last x. `in_equilibrium` adds the rigid displacements of floating bodies. All fields,
+   forces, energies and bounds are computed from this u and x.
 7. `ContactSystem.solve` compares the bound of the error of these fields with the accuracy that was
    asked for, and returns a `ContactSolution`. `ContactSystem.checked` changes its status if it has
    left linear theory. `print(solution)` shows its rows.

@@ -21,6 +21,7 @@ through these algorithms to the table.
 - `ProductStore`, `BlockBFGSModel`, `WholeModel`: known products, and the models made of them.
 - `SemismoothNewton`: Newton's method for the problem with a model; its points are `NewtonPoint`s,
   and `NodalMaps` are the sparse matrices of its steps.
+- `interior_point`: a further guess for Newton's method if A is known, by `SecondOrderCones`.
 - `EqualityConstraints`, `balance`: equilibrium of floating bodies, and a start that satisfies it.
 - `NaturalResidual`, `History`: the measure and the criteria of convergence.
 - `paper.py`: the four algorithms of the paper.
@@ -32,6 +33,7 @@ through these algorithms to the table.
 | c | `c` | multipliers of the constraints |
 | G, S, e | `EqualityConstraints.columns`, `.softness`, `.values` | G'x + S c = e |
 | M | `model` | model of A |
+| y, z, H | `SecondOrderCones` | tractions and slips in second-order cones, y = H x + h |
 | P, rho | `FeasibleSet.project`, `NaturalResidual.rho` | projection onto Lambda, step length |
 
 Read first: `iteration.solve`, `iteration.ModelNewton.run`,
