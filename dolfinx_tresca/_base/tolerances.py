@@ -44,10 +44,8 @@ PATIENCE = 25
 #: Number of steps without much progress after which another way is tried, which costs more than a
 #: step: the rest of A is computed (`solvers/iteration.py`), Newton's method with a model of A takes
 #: a whole step even if the residual grows (watchdog technique, Chamberlain et al. 1982), or a
-#: product with A replaces products with the near field. With 5, piles of stones take a fifth more
-#: steps, and some are not solved (`tests/validation/test_random_piles.py`).
+#: product with A replaces products with the near field.
 SHORT_PATIENCE = 8
 
-#: Limit on the steps of an inner iteration. Most inner iterations end after a few steps. In
-#: benchmarks/ablation.py, neither twice this limit nor a limit of 25 changes anything.
+#: Limit on the steps of an inner iteration. Most inner iterations end after a few steps.
 MOST_STEPS = 100

@@ -28,8 +28,8 @@ TO_BOUNDARY = 0.99
 LEAST_CENTRING, LARGEST_CENTRING = 0.05, 0.8
 
 #: First softness of the constraints, times the softness with which Newton's method starts. It falls
-#: with the root of the complementarity. With 1 in place of 100, a body of a pile that its contacts
-#: hardly hold moves away from it.
+#: with the root of the complementarity: bodies that contact hardly holds shall not move away. With
+#: 1 in place of 100, piles of stones take 12 % more steps of Newton's method.
 FIRST_SOFTNESS = 100.0
 
 
@@ -174,7 +174,6 @@ def interior_point(
     G = constraints.columns
     cone_map = SecondOrderCones(cones, model.size)
     test = diags_array(cone_map.free, format="csr")
-    fixed = model.unit * diags_array(1.0 - cone_map.free, format="csr")
 
     def largest(values: Array) -> float:
         return reductions.largest(float(values.max(initial=0.0)))
@@ -184,7 +183,7 @@ def interior_point(
         return float(sums[0] / max(sums[1], 1.0))
 
     def solution(blocks: Array, right: Array, missing: Array, soft: float) -> tuple[Array, Array]:
-        maps = NodalMaps(test, csr_array(cone_map.between(blocks) + fixed), test)
+        maps = NodalMaps(test, cone_map.between(blocks), test)
         S = constraints.softness_with(FIRST_SOFTNESS * soft * softness)
         return model.solve_between(maps, right, G, S, missing)
 

@@ -50,16 +50,13 @@ def solve(
     1983, Approximation of the Signorini problem with friction, obeying the Coulomb law).
 
     The model M (`solve_model`) equals A on all vectors with known products. Newton's method
-    (`semismooth_newton`) solves the problem with M in place of A by small dense algebra; changes of
-    active sets, of directions of slip and of slip bounds need no products. Let d be the step to
-    this solution. The product A d is computed, the iteration takes the step, and M is updated with
-    the pair (d, A d). While the face does not change, the method is the conjugate gradient method
-    with M as the preconditioner.
+    (`semismooth_newton`) solves the problem with M in place of A, without products. The product A d
+    is computed of the step d to this solution, the iteration takes the step, and M is updated with
+    the pair (d, A d).
 
     For Tresca's law and bodies held by supports, the part of the step with the least q is taken, so
     that q decreases in each step. (Theorem 38.1 also needs gradient projection steps, which GIMSSN
-    takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken. Two bricks
-    take up to a quarter more products if the whole step is always taken.
+    takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken.
 
     Raises:
         InputError: a method of the paper, which is for slip bounds that are given, was chosen for

@@ -374,8 +374,7 @@ class ProductStore:
 #: neighbours are fixed. (The diagonal of A would be no measure: slender bodies bend a million times
 #: as much as their surfaces are pressed in.) A wall of 52 bricks pushed in 17 accepted steps of
 #: 0.025 takes 351 Newton steps with 1e-3, 232 with 1e-4, 199 with 1e-5; with 1e-10, Newton's method
-#: on the model fails. Large walls under their weight take fewer with 1e-3: 53 for 236 with 1,104
-#: bricks, 92 for 127 with 2,046.
+#: on the model fails.
 SHIFT = 1e-5
 
 
