@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from petsc4py import PETSc
+
 import numpy as np
 from scipy.sparse import bsr_array, diags_array
-from scipy.sparse.linalg import splu
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
@@ -69,16 +70,20 @@ class Stars:
                 (work.reshape(-1, size, d * d), columns, starts),
                 shape=(size * len(work), d * d * columns.size),
             )
-            equations = (rows @ rows.T).tocsc()
+            equations = rows @ rows.T
             diagonal = equations.diagonal()
             diagonal = np.where(diagonal > 0.0, LOOSE * diagonal, 1.0)
-            equations += diags_array(diagonal, format="csc")
-            self._factors = splu(
-                equations,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
+            equations += diags_array(diagonal).tobsr((size, size))
+            pattern = (array.astype(PETSc.IntType) for array in (equations.indptr, equations.indices))
+            matrix = PETSc.Mat().createBAIJ(
+                equations.shape, size, csr=(*pattern, equations.data), comm=PETSc.COMM_SELF
             )
+            self._factors = PETSc.PC().create(PETSc.COMM_SELF)
+            self._factors.setType("lu")
+            self._factors.setFactorSolverType("petsc")  # of blocks
+            self._factors.setOperators(matrix)
+            self._factors.setUp()
+        self._vectors = matrix.createVecs()
 
     def _balancing(self, missing: Array) -> Array:
         """Return the least tractions (facets, d * d, 1) of all stars in terms of `_roots`.
@@ -87,8 +92,10 @@ class Stars:
         """
         comm, owner = self._cells.V.mesh.comm, self._owner
         right, _ = exchange(comm, missing.reshape(len(owner), -1), owner)
-        solution = self._factors.solve(right.ravel()).reshape(right.shape)
-        returned, _ = exchange(comm, solution, self._senders)
+        given, solution = self._vectors
+        given.array = right.ravel()
+        self._factors.apply(given, solution)
+        returned, _ = exchange(comm, solution.array.reshape(right.shape), self._senders)
         supports = np.empty_like(returned)
         supports[np.argsort(owner, kind="stable")] = returned
         tractions = (supports.ravel() @ self._work).reshape(self._roots.shape[:2])
