@@ -125,11 +125,15 @@ class Simplices:
 
     def resultants(self, loading: Array) -> Array:
         """Return forces (n, d + 1, d) at vertices with a loading's work on linear displacements."""
-        result = np.zeros_like(self.points)
-        for vertices, sizes, values in self.terms(loading):
-            means = mean_products(len(vertices), 2) @ values
-            result[:, vertices] += sizes[:, None, None] * means
-        return result
+        n, corners, d = self.points.shape
+        means = np.zeros((corners, corners, corners))  # at vertex k, of the data at (j, i)
+        for j, vertices in enumerate(opposite(d)):
+            means[vertices, j, :d] = mean_products(d, 2)
+        means[:, :, d] = mean_products(corners, 2)
+        sizes = np.repeat(self.areas[:, :, None, None], corners, axis=2)
+        sizes[:, :, d] = self.volumes[:, None, None]
+        weighted = (sizes * loading).reshape(n, -1, d)
+        return np.asarray(means.reshape(corners, -1) @ weighted)
 
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
@@ -149,11 +153,14 @@ class Simplices:
 
     def loading_of(self, stress: Array) -> Array:
         """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
-        d = self.d
-        tractions = np.einsum("njkab,njb->njka", stress[:, opposite(d)], self.normals)
-        divergence = np.einsum("nkab,nkb->na", stress, self.gradients)[:, None, None]
-        load = np.broadcast_to(-divergence, (len(stress), d + 1, 1, d))
-        return np.concatenate([tractions, load], axis=2)
+        n, corners, d = self.points.shape
+        products = stress.reshape(n, -1, d) @ np.swapaxes(self.normals, 1, 2)
+        products = np.moveaxis(products.reshape(n, corners, d, corners), 3, 1)
+        load = np.einsum("nkka->nka", products) / self.heights[:, :, None]
+        result = np.empty((n, corners, corners, d))
+        result[:, :, :d] = products[:, np.arange(corners)[:, None], opposite(d)]
+        result[:, :, d] = load.sum(axis=1, keepdims=True)
+        return result
 
 
 def _regular_frame(d: int) -> Array:
@@ -219,19 +226,22 @@ class StressEnergies:
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
         maps = np.einsum("nia,njb->nabij", frames, frames).reshape(compliance.shape)
         pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
-        matrices = pulled.reshape(n, -1) @ products.reshape(d**4, -1)
+        i, j = np.tril_indices(d * d)  # compliances are symmetric
+        pulled[:, range(d * d), range(d * d)] *= 0.5
+        matrices = pulled[:, i, j] @ (products[i, j] + products[j, i]).reshape(len(i), -1)
         self._matrices = matrices.reshape(n, *products.shape[2:])
         # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
         # with tractions S grad lambda_j
-        scales = np.ones((n, corners, corners, 1, 1))
-        scales[:, :, :d, 0, 0] = -1.0 / cells.heights[:, :, None]
-        self._changes = scales * np.linalg.inv(frames)[:, None, None]
+        self._scales = np.ones((n, corners, corners, 1))
+        self._scales[:, :, :d] = -1.0 / cells.heights[:, :, None, None]
+        self._inverses = np.linalg.inv(frames)
 
     def derivative(self, loading: Array) -> Array:
         """Return half the derivative (n, d + 1, d + 1, d) of the squared norms."""
-        reference = np.einsum("njkab,njkb->njka", self._changes, loading)
-        products = (self._matrices @ reference.reshape(len(loading), -1, 1)).reshape(loading.shape)
-        return np.asarray(np.einsum("njkab,njka->njkb", self._changes, products))
+        n, d, _ = self._inverses.shape
+        reference = (self._scales * loading).reshape(n, -1, d) @ np.swapaxes(self._inverses, 1, 2)
+        products = (self._matrices @ reference.reshape(n, -1, 1)).reshape(n, -1, d)
+        return np.asarray(self._scales * (products @ self._inverses).reshape(loading.shape))
 
     def squared_norms(self, loading: Array) -> Array:
         """Return the squared norms (n,) of the stresses with a loading."""
@@ -239,12 +249,12 @@ class StressEnergies:
 
     def of_facets(self) -> Array:
         """Return the matrices (n, d + 1, d * d, d * d) of tractions on each facet alone."""
-        n, corners, _, d, _ = self._changes.shape
+        n, corners, _, _ = self._scales.shape
+        d = corners - 1
         blocks = self._matrices.reshape(n, corners, corners * d, corners, corners * d)
         blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
-        changes = np.einsum("kl,njab->njkalb", np.eye(d), self._changes[:, :, 0])
-        changes = changes.reshape(blocks.shape)
-        return np.asarray(np.swapaxes(changes, 2, 3) @ blocks @ changes)
+        changes = np.einsum("kl,nab->nkalb", np.eye(d), self._inverses).reshape(n, 1, d * d, d * d)
+        return np.asarray(self._scales[:, :, :1] ** 2 * (np.swapaxes(changes, 2, 3) @ blocks @ changes))
 
 
 class MeshCells(Simplices):

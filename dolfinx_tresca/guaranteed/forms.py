@@ -24,8 +24,10 @@ NORMAL_ROUNDING = 1e-8
 SQUARES = {"quadrature_degree": 10}
 
 
-def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, Array]:
-    """Return elasticity tensors (n, d * d, d * d) and their least eigenvalues (n,) for strains.
+def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, ...]:
+    """Return elasticity tensors (n, d * d, d * d), their inverses, and least eigenvalues (n,).
+
+    Inverses and eigenvalues are those for symmetric matrices.
 
     For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell.
     Their symmetric mean stresses for symmetric gradients make the tensor, which must explain the
@@ -54,17 +56,20 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     result: Array = tensors.reshape(n, d * d, d * d)
     difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
     rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2) / cells.heights.min(axis=1)
-    least = np.linalg.eigvalsh(result)[:, d * (d - 1) // 2]  # rotations have the eigenvalue zero
+    values, vectors = np.linalg.eigh(result)
+    rotations = d * (d - 1) // 2  # with the eigenvalue zero
+    values, vectors = values[:, rotations:], vectors[:, :, rotations:]
     is_constant = {integral.integral_type() for integral in a.integrals()} == {"cell"}
     is_constant &= bool((difference <= rounding).all())
     cells.require(
-        is_constant and (least > 0.0).all(),
+        is_constant and (values > 0.0).all(),
         "a form a of integrals over cells, of the strain alone, with positive moduli that are "
         'constant in each cell: interpolate them into a space ("DG", 0). This form has moduli that '
         "vary in cells, or integrals over facets, or depends on the displacement itself, as "
         "springs do, or on a volume's mean, or gives rotations an energy",
     )
-    return result, np.asarray(least)
+    compliance: Array = vectors / values[:, None] @ np.swapaxes(vectors, 1, 2)
+    return result, compliance, values[:, 0]
 
 
 def loads(
@@ -122,11 +127,11 @@ def loads(
             linear, _, means = lagrange(len(vertices))
             basis_dofs = cells.dofs[:, lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0]
             moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
-            values = np.linalg.solve(means, moments) / sizes[:, None, None]
+            values = np.linalg.inv(means) @ moments / sizes[:, None, None]
             quadratic_load.x.array[:] = 0.0
             quadratic_load.x.array.reshape(-1, d)[basis_dofs] = values
             remainder = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
-            projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means @ values)
+            projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means) @ values
             values -= linear @ projection
             load += projection  # a view of the loading
             quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))

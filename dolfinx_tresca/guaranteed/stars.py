@@ -5,7 +5,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import bsr_array, diags_array
+from scipy.sparse import bsr_array
 
 from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
@@ -45,8 +45,8 @@ class Stars:
         # the facets at vertex k are opposite to the vertices near[k]
         near = opposite(d)
         arms = cells.points[:, near[near]] - cells.points[:, :, None, None]
-        work = mean_products(d, 2) @ rigid_motions(arms)
-        work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None]
+        work = rigid_motions(d * mean_products(d, 2) @ arms)
+        work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None] / d
         facets, size = cells.facets[:, near], work.shape[3]
         work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
         starts = np.arange(0, facets.size + 1, d, dtype=np.int32)
@@ -71,13 +71,13 @@ class Stars:
                 shape=(size * len(work), d * d * columns.size),
             )
             equations = rows @ rows.T
-            diagonal = equations.diagonal()
-            diagonal = np.where(diagonal > 0.0, LOOSE * diagonal, 1.0)
-            equations += diags_array(diagonal).tobsr((size, size))
             pattern = (array.astype(PETSc.IntType) for array in (equations.indptr, equations.indices))
             matrix = PETSc.Mat().createBAIJ(
                 equations.shape, size, csr=(*pattern, equations.data), comm=PETSc.COMM_SELF
             )
+            diagonal = matrix.getDiagonal()
+            diagonal.array = np.where(diagonal.array > 0.0, LOOSE * diagonal.array, 1.0)
+            matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD)
             self._factors = PETSc.PC().create(PETSc.COMM_SELF)
             self._factors.setType("lu")
             self._factors.setFactorSolverType("petsc")  # of blocks
