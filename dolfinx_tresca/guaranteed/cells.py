@@ -76,6 +76,13 @@ def lagrange(corners: int) -> tuple[Array, Array, Array]:
     return pair_means(np.eye(corners))[i, j], basis, means
 
 
+@cache
+def symmetric_basis(d: int) -> Array:
+    """Return an orthonormal basis (d * d, d (d + 1) / 2) of symmetric matrices."""
+    transposed = np.swapaxes(np.eye(d * d).reshape(d, d, -1), 0, 1).reshape(d * d, -1)
+    return np.asarray(np.linalg.eigh(transposed)[1][:, d * (d - 1) // 2 :])
+
+
 def opposite(d: int) -> Indices:
     """Return the vertices (d + 1, d) of each facet of a simplex."""
     return np.array([[k for k in range(d + 1) if k != j] for j in range(d + 1)])
@@ -176,16 +183,15 @@ def stress_products(d: int) -> Array:
     symmetric, quadratic in each subcell, and have continuous tractions between subcells. For each
     loading in equilibrium that of the least norm is taken, which is linear in the loading.
 
-    The result (d * d, d * d, m, m) has means over the simplex of products of two components. The m
-    data are the entries of the loading, with tractions S grad lambda_j of the stress S.
+    The result (k, m, m) has matrices A_ij in the order of `tril_indices`: the squared norm with the
+    compliance C_ij, in terms of `symmetric_basis`, is the sum of all C_ij A_ij times the volume.
+    The m data are the entries of the loading, with tractions S grad lambda_j of the stress S.
     """
-    n, (places, shapes, means) = d + 1, lagrange(d + 1)
-    size = len(places)
+    n, (places, shapes, means), basis = d + 1, lagrange(d + 1), symmetric_basis(d)
+    size, components = len(places), basis.shape[1]
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
-    root = np.linalg.inv(np.linalg.cholesky(means / n)).T
-    unknown = np.eye(n * size * d * d).reshape(n, size, d, d, -1)
-    stress = np.tensordot(root, 0.5 * (unknown + np.swapaxes(unknown, 2, 3)), axes=(1, 1))
-    stress = np.swapaxes(stress, 0, 1)
+    root = np.kron(np.linalg.inv(np.linalg.cholesky(means / n)).T, basis)
+    stress = np.kron(np.eye(n), root).reshape(n, size, d, d, -1)
     loading = np.eye(n * n * d).reshape(n, n, d, -1)
     inner = np.linalg.inv(_regular_frame(d))
     gradients = np.vstack([-inner.sum(axis=0), inner])
@@ -207,10 +213,13 @@ def stress_products(d: int) -> Array:
             jump = stress[i, ours] - stress[j, theirs]
             equations.append(np.einsum("pklz,l->pkz", jump, gradients[i] - gradients[j]))
             right.append(np.zeros((len(ours), d, n * n * d)))
-    matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
+    matrix = np.concatenate(equations).reshape(-1, stress.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
-    least = least.reshape(n * size, d * d, -1)  # orthonormal at the nodes of each subcell
-    return np.asarray(np.einsum("pax,pby->abxy", least, least, optimize=True))
+    least = least.reshape(n * size, components, -1)
+    row, column = np.tril_indices(components)
+    products = np.einsum("pax,pay->axy", least[:, row], least[:, column], optimize=True)
+    products[row == column] *= 0.5
+    return np.asarray(products + np.swapaxes(products, 1, 2))
 
 
 class StressEnergies:
@@ -220,16 +229,16 @@ class StressEnergies:
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the matrices of all cells from their compliance tensors (n, d * d, d * d)."""
+        """Compute the matrices of all cells; compliances are in terms of `symmetric_basis`."""
         n, corners, d = cells.points.shape
-        products = stress_products(d)
+        products, basis = stress_products(d), symmetric_basis(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
-        maps = np.einsum("nia,njb->nabij", frames, frames).reshape(compliance.shape)
+        maps = np.einsum("nia,njb->nabij", frames, frames).reshape(n, d * d, d * d)
+        maps = basis.T @ maps @ basis
         pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
-        i, j = np.tril_indices(d * d)  # compliances are symmetric
-        pulled[:, range(d * d), range(d * d)] *= 0.5
-        matrices = pulled[:, i, j] @ (products[i, j] + products[j, i]).reshape(len(i), -1)
-        self._matrices = matrices.reshape(n, *products.shape[2:])
+        i, j = np.tril_indices(basis.shape[1])
+        matrices = pulled[:, i, j] @ products.reshape(len(i), -1)
+        self._matrices = matrices.reshape(n, *products.shape[1:])
         # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
         # with tractions S grad lambda_j
         self._scales = np.ones((n, corners, corners, 1))
@@ -249,12 +258,12 @@ class StressEnergies:
 
     def of_facets(self) -> Array:
         """Return the matrices (n, d + 1, d * d, d * d) of tractions on each facet alone."""
-        n, corners, _, _ = self._scales.shape
-        d = corners - 1
-        blocks = self._matrices.reshape(n, corners, corners * d, corners, corners * d)
+        n, d, _ = self._inverses.shape
+        blocks = self._matrices.reshape(n, d + 1, (d + 1) * d, d + 1, (d + 1) * d)
         blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
-        changes = np.einsum("kl,nab->nkalb", np.eye(d), self._inverses).reshape(n, 1, d * d, d * d)
-        return np.asarray(self._scales[:, :, :1] ** 2 * (np.swapaxes(changes, 2, 3) @ blocks @ changes))
+        changes = np.kron(np.eye(d)[None], self._inverses)[:, None]
+        blocks = np.swapaxes(changes, 2, 3) @ blocks @ changes
+        return np.asarray(self._scales[:, :, :1] ** 2 * blocks)
 
 
 class MeshCells(Simplices):

@@ -9,7 +9,13 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.guaranteed.cells import QUADRATIC_TRACE, TRACE, MeshCells, lagrange
+from dolfinx_tresca.guaranteed.cells import (
+    QUADRATIC_TRACE,
+    TRACE,
+    MeshCells,
+    lagrange,
+    symmetric_basis,
+)
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Forces that a constant stiffness does not explain, relative to it, that count as rounding.
@@ -24,10 +30,8 @@ NORMAL_ROUNDING = 1e-8
 SQUARES = {"quadrature_degree": 10}
 
 
-def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, ...]:
-    """Return elasticity tensors (n, d * d, d * d), their inverses, and least eigenvalues (n,).
-
-    Inverses and eigenvalues are those for symmetric matrices.
+def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, Array]:
+    """Return elasticity tensors in terms of `symmetric_basis`, and least eigenvalues (n,).
 
     For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell.
     Their symmetric mean stresses for symmetric gradients make the tensor, which must explain the
@@ -48,28 +52,23 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     places, basis, _ = lagrange(corners)
     nodes = places @ (cells.points - cells.points[:, :1])
     stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
-    tensors = stresses.reshape(n, d, d, d, d)
-    tensors = 0.5 * (tensors + np.swapaxes(tensors, 1, 2))
-    tensors = 0.5 * (tensors + np.swapaxes(tensors, 3, 4))
+    symmetric = symmetric_basis(d)
+    result: Array = symmetric.T @ stresses.reshape(n, d * d, -1) @ symmetric
+    stresses = (symmetric @ result @ symmetric.T).reshape(stresses.shape)
     mean_slopes = 2.0 / corners * basis.sum(axis=0).T @ cells.gradients
-    of_mean_stress = mean_slopes[:, None] @ np.swapaxes(tensors.reshape(stresses.shape), 2, 3)
-    result: Array = tensors.reshape(n, d * d, d * d)
-    difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
+    difference = np.abs(forces - mean_slopes[:, None] @ stresses).max(axis=(1, 2, 3), initial=0.0)
     rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2) / cells.heights.min(axis=1)
-    values, vectors = np.linalg.eigh(result)
-    rotations = d * (d - 1) // 2  # with the eigenvalue zero
-    values, vectors = values[:, rotations:], vectors[:, :, rotations:]
+    least = np.linalg.eigvalsh(result)[:, 0]
     is_constant = {integral.integral_type() for integral in a.integrals()} == {"cell"}
     is_constant &= bool((difference <= rounding).all())
     cells.require(
-        is_constant and (values > 0.0).all(),
+        is_constant and (least > 0.0).all(),
         "a form a of integrals over cells, of the strain alone, with positive moduli that are "
         'constant in each cell: interpolate them into a space ("DG", 0). This form has moduli that '
         "vary in cells, or integrals over facets, or depends on the displacement itself, as "
         "springs do, or on a volume's mean, or gives rotations an energy",
     )
-    compliance: Array = vectors / values[:, None] @ np.swapaxes(vectors, 1, 2)
-    return result, compliance, values[:, 0]
+    return result, np.asarray(least)
 
 
 def loads(
@@ -106,6 +105,7 @@ def loads(
     cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
     on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)
     terms = list(cells.terms(loading))
+    loaded = np.insert(cells.sides[cells.facets, 0, 0] == 1.0, 0, True, axis=1)
     for integral in L.integrals():
         indicator, ratio, numbers = 1.0, 1.0, range(1)
         if integral.integral_type() != "cell":
@@ -122,19 +122,21 @@ def loads(
             for values, metadata in zip(integrands, ({}, SQUARES), strict=True)
         )
         for number in numbers:
-            vertices, sizes, load = terms[number]
+            (vertices, sizes, load), chosen = terms[number], np.flatnonzero(loaded[:, number])
             normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
             linear, _, means = lagrange(len(vertices))
-            basis_dofs = cells.dofs[:, lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0]
+            nodes = lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0
+            basis_dofs = cells.dofs[chosen][:, nodes]
             moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
-            values = np.linalg.inv(means) @ moments / sizes[:, None, None]
+            values = np.linalg.inv(means) @ moments / sizes[chosen, None, None]
             quadratic_load.x.array[:] = 0.0
             quadratic_load.x.array.reshape(-1, d)[basis_dofs] = values
-            remainder = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
+            remainder = fem.assemble_vector(squares).array[cell_dofs[chosen]]
+            remainder = np.sqrt(np.maximum(remainder, 0.0))
             projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means) @ values
             values -= linear @ projection
-            load += projection  # a view of the loading
-            quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
+            load[chosen] += projection  # a view of the loading
+            quadratic = np.sqrt(sizes[chosen] * (values * (means @ values)).sum(axis=(1, 2)))
             work = np.minimum(np.hypot(quadratic, remainder), ratio * quadratic + remainder)
-            oscillation += factors[:, number] * work
+            oscillation[chosen] += factors[chosen, number] * work
     return loading, oscillation

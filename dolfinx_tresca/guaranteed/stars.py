@@ -71,19 +71,14 @@ class Stars:
                 shape=(size * len(work), d * d * columns.size),
             )
             equations = rows @ rows.T
-            pattern = (array.astype(PETSc.IntType) for array in (equations.indptr, equations.indices))
-            matrix = PETSc.Mat().createBAIJ(
-                equations.shape, size, csr=(*pattern, equations.data), comm=PETSc.COMM_SELF
+            blocks = equations.indptr, equations.indices, equations.data
+            self._factors = PETSc.Mat().createBAIJ(
+                equations.shape, size, csr=blocks, comm=PETSc.COMM_SELF
             )
-            diagonal = matrix.getDiagonal()
+            diagonal = self._factors.getDiagonal()
             diagonal.array = np.where(diagonal.array > 0.0, LOOSE * diagonal.array, 1.0)
-            matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD)
-            self._factors = PETSc.PC().create(PETSc.COMM_SELF)
-            self._factors.setType("lu")
-            self._factors.setFactorSolverType("petsc")  # of blocks
-            self._factors.setOperators(matrix)
-            self._factors.setUp()
-        self._vectors = matrix.createVecs()
+            self._factors.setDiagonal(diagonal, PETSc.InsertMode.ADD)
+            self._factors.factorLU(*self._factors.getOrdering("nd"))  # in place, by blocks
 
     def _balancing(self, missing: Array) -> Array:
         """Return the least tractions (facets, d * d, 1) of all stars in terms of `_roots`.
@@ -92,9 +87,8 @@ class Stars:
         """
         comm, owner = self._cells.V.mesh.comm, self._owner
         right, _ = exchange(comm, missing.reshape(len(owner), -1), owner)
-        given, solution = self._vectors
-        given.array = right.ravel()
-        self._factors.apply(given, solution)
+        forces = PETSc.Vec().createWithArray(right.ravel(), comm=PETSc.COMM_SELF)
+        self._factors.solve(forces, solution := forces.duplicate())
         returned, _ = exchange(comm, solution.array.reshape(right.shape), self._senders)
         supports = np.empty_like(returned)
         supports[np.argsort(owner, kind="stable")] = returned
