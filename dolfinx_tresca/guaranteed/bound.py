@@ -17,13 +17,7 @@ from dolfinx_tresca._base.functions import assembled, owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
-from dolfinx_tresca.guaranteed.cells import (
-    MeshCells,
-    StressEnergies,
-    bernstein,
-    rigid_motions,
-    symmetric_basis,
-)
+from dolfinx_tresca.guaranteed.cells import MeshCells, StressEnergies, bernstein, rigid_motions
 from dolfinx_tresca.guaranteed.contact import ContactSurface
 from dolfinx_tresca.guaranteed.forms import elasticity, loads
 from dolfinx_tresca.guaranteed.stars import Stars
@@ -117,8 +111,8 @@ class Bodies:
             "Dirichlet conditions that hold each body; here contact alone holds a body against "
             "some motion",
         )
-        self.moduli, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
-        self.energies = StressEnergies(cells, np.asarray(np.linalg.inv(self.moduli)))
+        self.stiffness, inverse, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
+        self.energies = StressEnergies(cells, inverse)
         self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
         inside = cells.sides[cells.facets, 0] == 2.0
         held = self.prescribed[cells.facet_nodes].all(axis=(2, 3)) & ~inside
@@ -132,9 +126,9 @@ class Bodies:
         cells, (n, corners, d) = self.cells, self.cells.points.shape
         coefficients = bernstein(w.x.array.reshape(-1, d)[cells.nodes])
         slopes = 2.0 * np.swapaxes(cells.gradients, 1, 2) @ coefficients.reshape(n, corners, -1)
-        slopes = np.swapaxes(slopes.reshape(n, d, corners, d), 1, 2).reshape(n, corners, -1)
-        stresses = slopes @ symmetric_basis(d) @ self.moduli @ symmetric_basis(d).T
-        return cells.loading_of(stresses.reshape(n, corners, d, d))
+        slopes = np.swapaxes(slopes.reshape(n, d, corners, d), 1, 2)
+        stresses = slopes.reshape(n, corners, -1) @ self.stiffness
+        return cells.loading_of(stresses.reshape(slopes.shape))
 
     def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:
         """Return the displacement that forces alone cause, with one solve with K. Collective."""
@@ -207,8 +201,7 @@ class Bodies:
             slope = float(reduce_array(self.comm, (step * descent).sum()))
             if not slope > 0.0:
                 break
-            direction = step + slope / previous * direction
-            previous = slope
+            direction, previous = step + slope / previous * direction, slope
             change = self.energies.derivative(direction)
             length = slope / float(reduce_array(self.comm, (direction * change).sum()))
             difference += length * direction

@@ -10,7 +10,6 @@ its loading: the load is minus its divergence.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cache
 from itertools import combinations, permutations
 from math import factorial
@@ -77,7 +76,7 @@ def lagrange(corners: int) -> tuple[Array, Array, Array]:
 
 
 @cache
-def symmetric_basis(d: int) -> Array:
+def symmetric(d: int) -> Array:
     """Return an orthonormal basis (d * d, d (d + 1) / 2) of symmetric matrices."""
     transposed = np.swapaxes(np.eye(d * d).reshape(d, d, -1), 0, 1).reshape(d * d, -1)
     return np.asarray(np.linalg.eigh(transposed)[1][:, d * (d - 1) // 2 :])
@@ -124,12 +123,6 @@ class Simplices:
         self.areas: Array = self.d * self.volumes[:, None] / self.heights
         self.normals = -self.gradients * self.heights[:, :, None]
 
-    def terms(self, loading: Array) -> Iterator[tuple[Indices, Array, Array]]:
-        """Yield vertices (k,), sizes (n,) and a view (n, k, d) of the load, then on each facet."""
-        yield np.arange(self.d + 1), self.volumes, loading[:, :, self.d]
-        for j, vertices in enumerate(opposite(self.d)):
-            yield vertices, self.areas[:, j], loading[:, j, : self.d]
-
     def resultants(self, loading: Array) -> Array:
         """Return forces (n, d + 1, d) at vertices with a loading's work on linear displacements."""
         n, corners, d = self.points.shape
@@ -139,8 +132,7 @@ class Simplices:
         means[:, :, d] = mean_products(corners, 2)
         sizes = np.repeat(self.areas[:, :, None, None], corners, axis=2)
         sizes[:, :, d] = self.volumes[:, None, None]
-        weighted = (sizes * loading).reshape(n, -1, d)
-        return np.asarray(means.reshape(corners, -1) @ weighted)
+        return np.asarray(means.reshape(corners, -1) @ (sizes * loading).reshape(n, -1, d))
 
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
@@ -163,11 +155,10 @@ class Simplices:
         n, corners, d = self.points.shape
         products = stress.reshape(n, -1, d) @ np.swapaxes(self.normals, 1, 2)
         products = np.moveaxis(products.reshape(n, corners, d, corners), 3, 1)
-        load = np.einsum("nkka->nka", products) / self.heights[:, :, None]
-        result = np.empty((n, corners, corners, d))
-        result[:, :, :d] = products[:, np.arange(corners)[:, None], opposite(d)]
-        result[:, :, d] = load.sum(axis=1, keepdims=True)
-        return result
+        tractions = products[:, np.arange(corners)[:, None], opposite(d)]
+        load = np.einsum("nkka,nk->na", products, 1.0 / self.heights)[:, None, None]
+        load = np.broadcast_to(load, (n, corners, 1, d))
+        return np.concatenate([tractions, load], axis=2)
 
 
 def _regular_frame(d: int) -> Array:
@@ -184,21 +175,19 @@ def stress_products(d: int) -> Array:
     loading in equilibrium that of the least norm is taken, which is linear in the loading.
 
     The result (k, m, m) has matrices A_ij in the order of `tril_indices`: the squared norm with the
-    compliance C_ij, in terms of `symmetric_basis`, is the sum of all C_ij A_ij times the volume.
+    compliance C_ij, in terms of `symmetric`, is the sum of all C_ij A_ij times the volume.
     The m data are the entries of the loading, with tractions S grad lambda_j of the stress S.
     """
-    n, (places, shapes, means), basis = d + 1, lagrange(d + 1), symmetric_basis(d)
-    size, components = len(places), basis.shape[1]
+    n, (places, shapes, means) = d + 1, lagrange(d + 1)
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
-    root = np.kron(np.linalg.inv(np.linalg.cholesky(means / n)).T, basis)
-    stress = np.kron(np.eye(n), root).reshape(n, size, d, d, -1)
+    root = np.kron(np.linalg.inv(np.linalg.cholesky(means / n)).T, symmetric(d))
+    stress = np.kron(np.eye(n), root).reshape(n, len(places), d, d, -1)
     loading = np.eye(n * n * d).reshape(n, n, d, -1)
-    inner = np.linalg.inv(_regular_frame(d))
-    gradients = np.vstack([-inner.sum(axis=0), inner])
+    gradients = Simplices(np.vstack([np.zeros(d), _regular_frame(d).T])[None]).gradients[0]
     corners = np.tile(np.eye(n), (n, 1, 1))  # of the subcells, in barycentric coordinates
     corners[range(n), range(n)] = 1.0 / n
     points = (places @ corners).reshape(-1, n).round(9)
-    numbers = np.unique(points, axis=0, return_inverse=True)[1].reshape(n, size)
+    numbers = np.unique(points, axis=0, return_inverse=True)[1].reshape(n, -1)
     equations, right = [], []
     for i, vertices in enumerate(opposite(d)):
         on_facet = places[:, i] == 0.0
@@ -215,8 +204,8 @@ def stress_products(d: int) -> Array:
             right.append(np.zeros((len(ours), d, n * n * d)))
     matrix = np.concatenate(equations).reshape(-1, stress.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
-    least = least.reshape(n * size, components, -1)
-    row, column = np.tril_indices(components)
+    least = least.reshape(n * len(places), symmetric(d).shape[1], -1)
+    row, column = np.tril_indices(least.shape[1])
     products = np.einsum("pax,pay->axy", least[:, row], least[:, column], optimize=True)
     products[row == column] *= 0.5
     return np.asarray(products + np.swapaxes(products, 1, 2))
@@ -229,15 +218,15 @@ class StressEnergies:
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the matrices of all cells; compliances are in terms of `symmetric_basis`."""
+        """Compute the matrices of all cells; compliances are in terms of `symmetric`."""
         n, corners, d = cells.points.shape
-        products, basis = stress_products(d), symmetric_basis(d)
+        products = stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
         maps = np.einsum("nia,njb->nabij", frames, frames).reshape(n, d * d, d * d)
-        maps = basis.T @ maps @ basis
+        maps = symmetric(d).T @ maps @ symmetric(d)
         pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
-        i, j = np.tril_indices(basis.shape[1])
-        matrices = pulled[:, i, j] @ products.reshape(len(i), -1)
+        row, column = np.tril_indices(pulled.shape[1])
+        matrices = pulled[:, row, column] @ products.reshape(len(row), -1)
         self._matrices = matrices.reshape(n, *products.shape[1:])
         # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
         # with tractions S grad lambda_j
@@ -261,9 +250,8 @@ class StressEnergies:
         n, d, _ = self._inverses.shape
         blocks = self._matrices.reshape(n, d + 1, (d + 1) * d, d + 1, (d + 1) * d)
         blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
-        changes = np.kron(np.eye(d)[None], self._inverses)[:, None]
-        blocks = np.swapaxes(changes, 2, 3) @ blocks @ changes
-        return np.asarray(self._scales[:, :, :1] ** 2 * blocks)
+        maps = np.kron(np.eye(d)[None], self._inverses)[:, None]
+        return np.asarray(self._scales[:, :, :1] ** 2 * (np.swapaxes(maps, 2, 3) @ blocks @ maps))
 
 
 class MeshCells(Simplices):
@@ -323,10 +311,8 @@ class MeshCells(Simplices):
 
     def on_sides(self, tractions: Array) -> Array:
         """Return the loading of tractions (facets, d d), which are opposite on both sides."""
-        result = np.zeros((*self.facets.shape, self.d + 1, self.d))
-        on_cells = tractions.reshape(-1, self.d, self.d)[self.facets]
-        result[:, :, : self.d] = self.signs * on_cells
-        return result
+        on_cells = self.signs * tractions.reshape(-1, self.d, self.d)[self.facets]
+        return np.pad(on_cells, ((0, 0), (0, 0), (0, 1), (0, 0)))
 
     def spread(self, owned: Array) -> Array:
         """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""

@@ -7,7 +7,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import bsr_array
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
 from dolfinx_tresca.guaranteed.cells import MeshCells, mean_products, opposite, rigid_motions
 
@@ -49,11 +49,7 @@ class Stars:
         work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None] / d
         facets, size = cells.facets[:, near], work.shape[3]
         work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
-        starts = np.arange(0, facets.size + 1, d, dtype=np.int32)
-        self._work = bsr_array(
-            (work.reshape(-1, size, d * d), facets.ravel(), starts),
-            shape=(size * n * corners, d * d * len(sums)),
-        ).tocsr()
+        self._work = _block_rows(work, facets, len(sums)).tocsr()
 
         # each star has its own tractions: numbers of facets, and of its vertex among theirs
         place = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
@@ -64,21 +60,16 @@ class Stars:
         columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
         work, _ = exchange(comm, work.reshape(n * corners, -1), self._owner)
         with errors_on_all_ranks(comm):
-            columns = np.unique(columns.ravel(), return_inverse=True)[1].astype(np.int32)
-            starts = np.arange(0, columns.size + 1, d, dtype=np.int32)
-            rows = bsr_array(
-                (work.reshape(-1, size, d * d), columns, starts),
-                shape=(size * len(work), d * d * columns.size),
-            )
+            columns = np.unique(columns.ravel(), return_inverse=True)[1]
+            rows = _block_rows(work.reshape(-1, d, size, d * d), columns, columns.size)
             equations = rows @ rows.T
             blocks = equations.indptr, equations.indices, equations.data
-            self._factors = PETSc.Mat().createBAIJ(
-                equations.shape, size, csr=blocks, comm=PETSc.COMM_SELF
-            )
-            diagonal = self._factors.getDiagonal()
+            matrix = PETSc.Mat().createBAIJ(equations.shape, size, csr=blocks, comm=PETSc.COMM_SELF)
+            diagonal = matrix.getDiagonal()
             diagonal.array = np.where(diagonal.array > 0.0, LOOSE * diagonal.array, 1.0)
-            self._factors.setDiagonal(diagonal, PETSc.InsertMode.ADD)
-            self._factors.factorLU(*self._factors.getOrdering("nd"))  # in place, by blocks
+            matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD)
+            matrix.factorLU(*matrix.getOrdering("nd"))  # in place, by blocks
+        self._factors = matrix
 
     def _balancing(self, missing: Array) -> Array:
         """Return the least tractions (facets, d * d, 1) of all stars in terms of `_roots`.
@@ -118,6 +109,13 @@ class Stars:
         result = cells.on_sides(cells.facet_sums(cells.signs * loading[:, :, :d]) / cells.sides)
         result[:, :, d] = loading[:, :, d]
         # a force at the vertex itself has no moment about it
-        moments = (0, 0), (0, 0), (0, d * (d - 1) // 2)
-        missing = np.pad(cells.resultants(stress - result), moments)
+        missing = np.pad(cells.resultants(stress - result), ((0, 0), (0, 0), (0, d * (d - 1) // 2)))
         return result + cells.on_sides(self._roots @ self._balancing(missing))
+
+
+def _block_rows(blocks: Array, columns: Indices, width: int) -> bsr_array:
+    """Return a sparse matrix with blocks (..., k, ., .), k a row, in given of `width` columns."""
+    count, rows, size = blocks.shape[-3:]
+    starts = np.arange(0, columns.size + 1, count, dtype=np.int32)
+    entries = blocks.reshape(-1, rows, size), columns.ravel().astype(np.int32), starts
+    return bsr_array(entries, shape=(rows * columns.size // count, size * width))
