@@ -131,9 +131,7 @@ def loads(
             values = np.linalg.inv(means) @ moments / size[:, None, None]
             quadratic_load.x.array[:] = 0.0
             quadratic_load.x.array.reshape(-1, d)[basis_dofs] = values
-            remainder = np.sqrt(
-                np.maximum(fem.assemble_vector(squares).array[cell_dofs[cell]], 0.0)
-            )
+            remainder = np.maximum(fem.assemble_vector(squares).array[cell_dofs[cell]], 0.0) ** 0.5
             projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means) @ values
             values -= linear @ projection
             load[cell] += projection  # a view of the loading
