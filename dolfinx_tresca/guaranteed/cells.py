@@ -297,8 +297,7 @@ class MeshCells(Simplices):
         self.nodes = V.dofmap.list[cell[:, None], nodes]
         self.quadratics, (i, j) = fem.functionspace(mesh, ("DG", 2, (d,))), np.triu_indices(d + 1)
         self.dofs = self.quadratics.dofmap.list[cell, pairs[:, i, j]]
-        facing = opposite(d)
-        self.facet_nodes = self.nodes[:, facing[:, :, None], facing[:, None]]
+        self.facet_nodes = self.nodes[:, opposite(d)[:, :, None], opposite(d)[:, None]]
         turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]
         self.signs = np.sign(turns)[:, :, None, None]
         self.sides = self.facet_sums(np.ones_like(self.signs))

@@ -65,6 +65,7 @@ class Stars:
             equations = rows @ rows.T
             blocks = equations.indptr, equations.indices, equations.data
             matrix = PETSc.Mat().createBAIJ(equations.shape, size, csr=blocks, comm=PETSc.COMM_SELF)
+            del work, rows, equations, blocks
             diagonal = matrix.getDiagonal()
             diagonal.array = np.where(diagonal.array > 0.0, LOOSE * diagonal.array, 1.0)
             matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD)
