@@ -124,10 +124,10 @@ class Bodies:
     def loading_of(self, w: fem.Function) -> Array:
         """Return the loading of the stress of a displacement."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
-        coefficients = bernstein(w.x.array.reshape(-1, d)[cells.nodes])
-        slopes = 2.0 * np.swapaxes(cells.gradients, 1, 2) @ coefficients.reshape(n, corners, -1)
+        coefficients = 2.0 * bernstein(w.x.array.reshape(-1, d)[cells.nodes])
+        slopes = np.swapaxes(cells.gradients, 1, 2) @ coefficients.reshape(n, corners, corners * d)
         slopes = np.swapaxes(slopes.reshape(n, d, corners, d), 1, 2)
-        stresses = slopes.reshape(n, corners, -1) @ self.stiffness
+        stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
         return cells.loading_of(stresses.reshape(slopes.shape))
 
     def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:

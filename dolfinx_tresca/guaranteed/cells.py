@@ -132,7 +132,7 @@ class Simplices:
         means[:, :, d] = mean_products(corners, 2)
         sizes = np.repeat(self.areas[:, :, None, None], corners, axis=2)
         sizes[:, :, d] = self.volumes[:, None, None]
-        return np.asarray(means.reshape(corners, -1) @ (sizes * loading).reshape(n, -1, d))
+        return np.asarray(means.reshape(corners, -1) @ (sizes * loading).reshape(n, corners**2, d))
 
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
@@ -153,7 +153,7 @@ class Simplices:
     def loading_of(self, stress: Array) -> Array:
         """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
         n, corners, d = self.points.shape
-        products = stress.reshape(n, -1, d) @ np.swapaxes(self.normals, 1, 2)
+        products = stress.reshape(n, corners * d, d) @ np.swapaxes(self.normals, 1, 2)
         products = np.moveaxis(products.reshape(n, corners, d, corners), 3, 1)
         tractions = products[:, np.arange(corners)[:, None], opposite(d)]
         load = np.einsum("nkka,nk->na", products, 1.0 / self.heights)[:, None, None]
@@ -236,9 +236,9 @@ class StressEnergies:
 
     def derivative(self, loading: Array) -> Array:
         """Return half the derivative (n, d + 1, d + 1, d) of the squared norms."""
-        n, d, _ = self._inverses.shape
-        reference = (self._scales * loading).reshape(n, -1, d) @ np.swapaxes(self._inverses, 1, 2)
-        products = (self._matrices @ reference.reshape(n, -1, 1)).reshape(n, -1, d)
+        (n, m, _), d = self._matrices.shape, self._inverses.shape[1]
+        values = (self._scales * loading).reshape(n, m // d, d) @ np.swapaxes(self._inverses, 1, 2)
+        products = (self._matrices @ values.reshape(n, m, 1)).reshape(n, m // d, d)
         return np.asarray(self._scales * (products @ self._inverses).reshape(loading.shape))
 
     def squared_norms(self, loading: Array) -> Array:
@@ -305,7 +305,7 @@ class MeshCells(Simplices):
     def facet_sums(self, values: Array) -> Array:
         """Return the sums (facets, a, b) over both sides of values (n, d + 1, a, b). Collective."""
         index_map = self.V.mesh.topology.index_map(self.d - 1)
-        rows = values.reshape(*self.facets.shape, -1)
+        rows = values.reshape(*self.facets.shape, values.shape[2] * values.shape[3])
         return summed_at_nodes(index_map, self.facets, rows).reshape(-1, *values.shape[2:])
 
     def on_sides(self, tractions: Array) -> Array:

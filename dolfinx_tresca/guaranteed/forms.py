@@ -48,7 +48,7 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     places, basis, _ = lagrange(corners)
     nodes = places @ (cells.points - cells.points[:, :1])
     stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
-    moduli = symmetric(d).T @ stresses.reshape(n, d * d, -1) @ symmetric(d)
+    moduli = symmetric(d).T @ stresses.reshape(n, d * d, d * d) @ symmetric(d)
     stiffness = symmetric(d) @ moduli @ symmetric(d).T
     mean_slopes = 2.0 / corners * basis.sum(axis=0).T @ cells.gradients
     of_mean_stress = mean_slopes[:, None] @ stiffness.reshape(stresses.shape)

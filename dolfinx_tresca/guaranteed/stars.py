@@ -58,7 +58,7 @@ class Stars:
         firsts = comm.allgather(topology.index_map(0).local_range[0])
         self._owner = np.searchsorted(firsts, cells.vertices.ravel(), side="right") - 1
         columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
-        work, _ = exchange(comm, work.reshape(n * corners, -1), self._owner)
+        work, _ = exchange(comm, work.reshape(n * corners, d * size * d * d), self._owner)
         with errors_on_all_ranks(comm):
             columns = np.unique(columns.ravel(), return_inverse=True)[1]
             rows = _block_rows(work.reshape(-1, d, size, d * d), columns, columns.size)
@@ -78,7 +78,7 @@ class Stars:
         They have the forces and moments (n, d + 1, r) at the vertices of cells. Collective.
         """
         comm, owner = self._cells.V.mesh.comm, self._owner
-        right, _ = exchange(comm, missing.reshape(len(owner), -1), owner)
+        right, _ = exchange(comm, missing.reshape(len(owner), missing.shape[2]), owner)
         forces = PETSc.Vec().createWithArray(right.ravel(), comm=PETSc.COMM_SELF)
         self._factors.solve(forces, solution := forces.duplicate())
         returned, _ = exchange(comm, solution.array.reshape(right.shape), self._senders)
@@ -97,7 +97,7 @@ class Stars:
         cells, d = self._cells, self._cells.d
         forces = cells.facet_sums(cells.signs * gradient[:, :, :d]).reshape(-1, d * d, 1)
         tractions = np.swapaxes(self._roots, 1, 2) @ forces
-        total = (self._work @ tractions.ravel()).reshape(*cells.facets.shape, -1)
+        total = (self._work @ tractions.ravel()).reshape(*cells.facets.shape, d * (d + 1) // 2)
         return cells.on_sides(self._roots @ (d * tractions - self._balancing(total)))
 
     def equilibrated(self, loading: Array, stress: Array) -> Array:
