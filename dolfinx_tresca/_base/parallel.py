@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, issparse, vstack
+from scipy.sparse import csc_array, csr_array, issparse, vstack
 
 import dolfinx.la
 from dolfinx import common
@@ -204,8 +204,10 @@ def exchange(
 def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array) -> Array:
     """Return sums (nodes, k) of values (..., k) at local nodes (...) of all ranks. Collective."""
     vector = dolfinx.la.vector(index_map, values.shape[-1])
-    vector.array[:] = 0.0
-    np.add.at(vector.array.reshape(-1, values.shape[-1]), nodes, values)
+    rows = values.reshape(-1, values.shape[-1])
+    entries = np.ones(len(rows)), nodes.ravel(), np.arange(len(rows) + 1)
+    shape = (len(vector.array) // rows.shape[1], len(rows))
+    vector.array[:] = (csc_array(entries, shape=shape) @ rows).ravel()
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     vector.scatter_forward()
     return np.array(vector.array).reshape(-1, values.shape[-1])

@@ -111,10 +111,8 @@ class Bodies:
             "Dirichlet conditions that hold each body; here contact alone holds a body against "
             "some motion",
         )
-        self.stiffness, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
-        # rotations have no stiffness, up to rounding
-        compliance = np.linalg.pinv(self.stiffness, 1e-12, hermitian=True)
-        self.energies = StressEnergies(cells, np.asarray(compliance))
+        self.stiffness, inverse, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
+        self.energies = StressEnergies(cells, inverse)
         self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
         inside = cells.sides[cells.facets, 0] == 2.0
         held = self.prescribed[cells.facet_nodes].all(axis=(2, 3)) & ~inside
@@ -126,8 +124,9 @@ class Bodies:
     def loading_of(self, w: fem.Function) -> Array:
         """Return the loading of the stress of a displacement."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
-        coefficients = bernstein(w.x.array.reshape(-1, d)[cells.nodes])
-        slopes = 2.0 * np.swapaxes(coefficients, 2, 3) @ cells.gradients[:, None]
+        coefficients = 2.0 * bernstein(w.x.array.reshape(-1, d)[cells.nodes])
+        slopes = np.swapaxes(cells.gradients, 1, 2) @ coefficients.reshape(n, corners, corners * d)
+        slopes = np.swapaxes(slopes.reshape(n, d, corners, d), 1, 2)
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
         return cells.loading_of(stresses.reshape(slopes.shape))
 
@@ -202,8 +201,7 @@ class Bodies:
             slope = float(reduce_array(self.comm, (step * descent).sum()))
             if not slope > 0.0:
                 break
-            direction = step + slope / previous * direction
-            previous = slope
+            direction, previous = step + slope / previous * direction, slope
             change = self.energies.derivative(direction)
             length = slope / float(reduce_array(self.comm, (direction * change).sum()))
             difference += length * direction

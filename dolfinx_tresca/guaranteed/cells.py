@@ -10,7 +10,6 @@ its loading: the load is minus its divergence.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cache
 from itertools import combinations, permutations
 from math import factorial
@@ -76,6 +75,13 @@ def lagrange(corners: int) -> tuple[Array, Array, Array]:
     return pair_means(np.eye(corners))[i, j], basis, means
 
 
+@cache
+def symmetric(d: int) -> Array:
+    """Return an orthonormal basis (d * d, d (d + 1) / 2) of symmetric matrices."""
+    transposed = np.swapaxes(np.eye(d * d).reshape(d, d, -1), 0, 1).reshape(d * d, -1)
+    return np.asarray(np.linalg.eigh(transposed)[1][:, d * (d - 1) // 2 :])
+
+
 def opposite(d: int) -> Indices:
     """Return the vertices (d + 1, d) of each facet of a simplex."""
     return np.array([[k for k in range(d + 1) if k != j] for j in range(d + 1)])
@@ -117,19 +123,16 @@ class Simplices:
         self.areas: Array = self.d * self.volumes[:, None] / self.heights
         self.normals = -self.gradients * self.heights[:, :, None]
 
-    def terms(self, loading: Array) -> Iterator[tuple[Indices, Array, Array]]:
-        """Yield vertices (k,), sizes (n,) and a view (n, k, d) of the load, then on each facet."""
-        yield np.arange(self.d + 1), self.volumes, loading[:, :, self.d]
-        for j, vertices in enumerate(opposite(self.d)):
-            yield vertices, self.areas[:, j], loading[:, j, : self.d]
-
     def resultants(self, loading: Array) -> Array:
         """Return forces (n, d + 1, d) at vertices with a loading's work on linear displacements."""
-        result = np.zeros_like(self.points)
-        for vertices, sizes, values in self.terms(loading):
-            means = mean_products(len(vertices), 2) @ values
-            result[:, vertices] += sizes[:, None, None] * means
-        return result
+        n, corners, d = self.points.shape
+        means = np.zeros((corners, corners, corners))  # at vertex k, of the data at (j, i)
+        for j, vertices in enumerate(opposite(d)):
+            means[vertices, j, :d] = mean_products(d, 2)
+        means[:, :, d] = mean_products(corners, 2)
+        sizes = np.repeat(self.areas[:, :, None, None], corners, axis=2)
+        sizes[:, :, d] = self.volumes[:, None, None]
+        return np.asarray(means.reshape(corners, -1) @ (sizes * loading).reshape(n, corners**2, d))
 
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
@@ -149,10 +152,12 @@ class Simplices:
 
     def loading_of(self, stress: Array) -> Array:
         """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
-        d = self.d
-        tractions = np.einsum("njkab,njb->njka", stress[:, opposite(d)], self.normals)
-        divergence = np.einsum("nkab,nkb->na", stress, self.gradients)[:, None, None]
-        load = np.broadcast_to(-divergence, (len(stress), d + 1, 1, d))
+        n, corners, d = self.points.shape
+        products = stress.reshape(n, corners * d, d) @ np.swapaxes(self.normals, 1, 2)
+        products = np.moveaxis(products.reshape(n, corners, d, corners), 3, 1)
+        tractions = products[:, np.arange(corners)[:, None], opposite(d)]
+        load = np.einsum("nkka,nk->na", products, 1.0 / self.heights)[:, None, None]
+        load = np.broadcast_to(load, (n, corners, 1, d))
         return np.concatenate([tractions, load], axis=2)
 
 
@@ -169,23 +174,20 @@ def stress_products(d: int) -> Array:
     symmetric, quadratic in each subcell, and have continuous tractions between subcells. For each
     loading in equilibrium that of the least norm is taken, which is linear in the loading.
 
-    The result (d * d, d * d, m, m) has means over the simplex of products of two components. The m
-    data are the entries of the loading, with tractions S grad lambda_j of the stress S.
+    The result (k, m, m) has matrices A_ij in the order of `tril_indices`: the squared norm with the
+    compliance C_ij, in terms of `symmetric`, is the sum of all C_ij A_ij times the volume.
+    The m data are the entries of the loading, with tractions S grad lambda_j of the stress S.
     """
     n, (places, shapes, means) = d + 1, lagrange(d + 1)
-    size = len(places)
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
-    root = np.linalg.inv(np.linalg.cholesky(means / n)).T
-    unknown = np.eye(n * size * d * d).reshape(n, size, d, d, -1)
-    stress = np.tensordot(root, 0.5 * (unknown + np.swapaxes(unknown, 2, 3)), axes=(1, 1))
-    stress = np.swapaxes(stress, 0, 1)
+    root = np.kron(np.linalg.inv(np.linalg.cholesky(means / n)).T, symmetric(d))
+    stress = np.kron(np.eye(n), root).reshape(n, len(places), d, d, -1)
     loading = np.eye(n * n * d).reshape(n, n, d, -1)
-    inner = np.linalg.inv(_regular_frame(d))
-    gradients = np.vstack([-inner.sum(axis=0), inner])
+    gradients = Simplices(np.vstack([np.zeros(d), _regular_frame(d).T])[None]).gradients[0]
     corners = np.tile(np.eye(n), (n, 1, 1))  # of the subcells, in barycentric coordinates
     corners[range(n), range(n)] = 1.0 / n
     points = (places @ corners).reshape(-1, n).round(9)
-    numbers = np.unique(points, axis=0, return_inverse=True)[1].reshape(n, size)
+    numbers = np.unique(points, axis=0, return_inverse=True)[1].reshape(n, -1)
     equations, right = [], []
     for i, vertices in enumerate(opposite(d)):
         on_facet = places[:, i] == 0.0
@@ -200,10 +202,13 @@ def stress_products(d: int) -> Array:
             jump = stress[i, ours] - stress[j, theirs]
             equations.append(np.einsum("pklz,l->pkz", jump, gradients[i] - gradients[j]))
             right.append(np.zeros((len(ours), d, n * n * d)))
-    matrix = np.concatenate(equations).reshape(-1, unknown.shape[-1])
+    matrix = np.concatenate(equations).reshape(-1, stress.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
-    least = least.reshape(n * size, d * d, -1)  # orthonormal at the nodes of each subcell
-    return np.asarray(np.einsum("pax,pby->abxy", least, least, optimize=True))
+    least = least.reshape(n * len(places), symmetric(d).shape[1], -1)
+    row, column = np.tril_indices(least.shape[1])
+    products = np.einsum("pax,pay->axy", least[:, row], least[:, column], optimize=True)
+    products[row == column] *= 0.5
+    return np.asarray(products + np.swapaxes(products, 1, 2))
 
 
 class StressEnergies:
@@ -213,25 +218,28 @@ class StressEnergies:
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the matrices of all cells from their compliance tensors (n, d * d, d * d)."""
+        """Compute the matrices of all cells; compliances are in terms of `symmetric`."""
         n, corners, d = cells.points.shape
         products = stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
-        maps = np.einsum("nia,njb->nabij", frames, frames).reshape(compliance.shape)
+        maps = np.einsum("nia,njb->nabij", frames, frames).reshape(n, d * d, d * d)
+        maps = symmetric(d).T @ maps @ symmetric(d)
         pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
-        matrices = pulled.reshape(n, -1) @ products.reshape(d**4, -1)
-        self._matrices = matrices.reshape(n, *products.shape[2:])
+        row, column = np.tril_indices(pulled.shape[1])
+        matrices = pulled[:, row, column] @ products.reshape(len(row), -1)
+        self._matrices = matrices.reshape(n, *products.shape[1:])
         # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
         # with tractions S grad lambda_j
-        scales = np.ones((n, corners, corners, 1, 1))
-        scales[:, :, :d, 0, 0] = -1.0 / cells.heights[:, :, None]
-        self._changes = scales * np.linalg.inv(frames)[:, None, None]
+        self._scales = np.ones((n, corners, corners, 1))
+        self._scales[:, :, :d] = -1.0 / cells.heights[:, :, None, None]
+        self._inverses = np.linalg.inv(frames)
 
     def derivative(self, loading: Array) -> Array:
         """Return half the derivative (n, d + 1, d + 1, d) of the squared norms."""
-        reference = np.einsum("njkab,njkb->njka", self._changes, loading)
-        products = (self._matrices @ reference.reshape(len(loading), -1, 1)).reshape(loading.shape)
-        return np.asarray(np.einsum("njkab,njka->njkb", self._changes, products))
+        (n, m, _), d = self._matrices.shape, self._inverses.shape[1]
+        values = (self._scales * loading).reshape(n, m // d, d) @ np.swapaxes(self._inverses, 1, 2)
+        products = (self._matrices @ values.reshape(n, m, 1)).reshape(n, m // d, d)
+        return np.asarray(self._scales * (products @ self._inverses).reshape(loading.shape))
 
     def squared_norms(self, loading: Array) -> Array:
         """Return the squared norms (n,) of the stresses with a loading."""
@@ -239,12 +247,11 @@ class StressEnergies:
 
     def of_facets(self) -> Array:
         """Return the matrices (n, d + 1, d * d, d * d) of tractions on each facet alone."""
-        n, corners, _, d, _ = self._changes.shape
-        blocks = self._matrices.reshape(n, corners, corners * d, corners, corners * d)
+        n, d, _ = self._inverses.shape
+        blocks = self._matrices.reshape(n, d + 1, (d + 1) * d, d + 1, (d + 1) * d)
         blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
-        changes = np.einsum("kl,njab->njkalb", np.eye(d), self._changes[:, :, 0])
-        changes = changes.reshape(blocks.shape)
-        return np.asarray(np.swapaxes(changes, 2, 3) @ blocks @ changes)
+        maps = np.kron(np.eye(d)[None], self._inverses)[:, None]
+        return np.asarray(self._scales[:, :, :1] ** 2 * (np.swapaxes(maps, 2, 3) @ blocks @ maps))
 
 
 class MeshCells(Simplices):
@@ -290,8 +297,7 @@ class MeshCells(Simplices):
         self.nodes = V.dofmap.list[cell[:, None], nodes]
         self.quadratics, (i, j) = fem.functionspace(mesh, ("DG", 2, (d,))), np.triu_indices(d + 1)
         self.dofs = self.quadratics.dofmap.list[cell, pairs[:, i, j]]
-        facing = opposite(d)
-        self.facet_nodes = self.nodes[:, facing[:, :, None], facing[:, None]]
+        self.facet_nodes = self.nodes[:, opposite(d)[:, :, None], opposite(d)[:, None]]
         turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]
         self.signs = np.sign(turns)[:, :, None, None]
         self.sides = self.facet_sums(np.ones_like(self.signs))
@@ -299,15 +305,13 @@ class MeshCells(Simplices):
     def facet_sums(self, values: Array) -> Array:
         """Return the sums (facets, a, b) over both sides of values (n, d + 1, a, b). Collective."""
         index_map = self.V.mesh.topology.index_map(self.d - 1)
-        rows = values.reshape(*self.facets.shape, -1)
+        rows = values.reshape(*self.facets.shape, values.shape[2] * values.shape[3])
         return summed_at_nodes(index_map, self.facets, rows).reshape(-1, *values.shape[2:])
 
     def on_sides(self, tractions: Array) -> Array:
         """Return the loading of tractions (facets, d d), which are opposite on both sides."""
-        result = np.zeros((*self.facets.shape, self.d + 1, self.d))
-        on_cells = tractions.reshape(-1, self.d, self.d)[self.facets]
-        result[:, :, : self.d] = self.signs * on_cells
-        return result
+        on_cells = self.signs * tractions.reshape(-1, self.d, self.d)[self.facets]
+        return np.pad(on_cells, ((0, 0), (0, 0), (0, 1), (0, 0)))
 
     def spread(self, owned: Array) -> Array:
         """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""

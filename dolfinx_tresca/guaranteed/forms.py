@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.guaranteed.cells import QUADRATIC_TRACE, TRACE, MeshCells, lagrange
+from dolfinx_tresca.guaranteed.cells import QUADRATIC_TRACE, TRACE, MeshCells, lagrange, symmetric
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Forces that a constant stiffness does not explain, relative to it, that count as rounding.
@@ -24,8 +24,10 @@ NORMAL_ROUNDING = 1e-8
 SQUARES = {"quadrature_degree": 10}
 
 
-def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, Array]:
-    """Return elasticity tensors (n, d * d, d * d) and their least eigenvalues (n,) for strains.
+def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, ...]:
+    """Return elasticity tensors (n, d * d, d * d), their inverses, and least eigenvalues (n,).
+
+    Inverses are in terms of `symmetric`.
 
     For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell.
     Their symmetric mean stresses for symmetric gradients make the tensor, which must explain the
@@ -46,15 +48,13 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     places, basis, _ = lagrange(corners)
     nodes = places @ (cells.points - cells.points[:, :1])
     stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
-    tensors = stresses.reshape(n, d, d, d, d)
-    tensors = 0.5 * (tensors + np.swapaxes(tensors, 1, 2))
-    tensors = 0.5 * (tensors + np.swapaxes(tensors, 3, 4))
+    moduli = symmetric(d).T @ stresses.reshape(n, d * d, d * d) @ symmetric(d)
+    stiffness = symmetric(d) @ moduli @ symmetric(d).T
     mean_slopes = 2.0 / corners * basis.sum(axis=0).T @ cells.gradients
-    of_mean_stress = mean_slopes[:, None] @ np.swapaxes(tensors.reshape(stresses.shape), 2, 3)
-    result: Array = tensors.reshape(n, d * d, d * d)
+    of_mean_stress = mean_slopes[:, None] @ stiffness.reshape(stresses.shape)
     difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
-    rounding = STIFFNESS_ROUNDING * np.trace(result, axis1=1, axis2=2) / cells.heights.min(axis=1)
-    least = np.linalg.eigvalsh(result)[:, d * (d - 1) // 2]  # rotations have the eigenvalue zero
+    rounding = STIFFNESS_ROUNDING * np.trace(moduli, axis1=1, axis2=2) / cells.heights.min(axis=1)
+    least = np.linalg.eigvalsh(moduli)[:, 0]
     is_constant = {integral.integral_type() for integral in a.integrals()} == {"cell"}
     is_constant &= bool((difference <= rounding).all())
     cells.require(
@@ -64,7 +64,7 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
         "vary in cells, or integrals over facets, or depends on the displacement itself, as "
         "springs do, or on a volume's mean, or gives rotations an energy",
     )
-    return result, np.asarray(least)
+    return stiffness, np.asarray(np.linalg.inv(moduli)), np.asarray(least)
 
 
 def loads(
@@ -100,7 +100,9 @@ def loads(
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
     on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)
-    terms = list(cells.terms(loading))
+    # of the cell, then of each facet
+    sizes = np.insert(cells.areas, 0, cells.volumes, axis=1)
+    loaded = np.insert(cells.sides[cells.facets, 0, 0] == 1.0, 0, True, axis=1)
     for integral in L.integrals():
         indicator, ratio, numbers = 1.0, 1.0, range(1)
         if integral.integral_type() != "cell":
@@ -117,19 +119,23 @@ def loads(
             for values, metadata in zip(integrands, ({}, SQUARES), strict=True)
         )
         for number in numbers:
-            vertices, sizes, load = terms[number]
+            vertices = np.flatnonzero(np.arange(corners) != number - 1)
+            load = loading[:, number - 1, :d] if number else loading[:, :, d]
+            cell = np.flatnonzero(loaded[:, number])
+            size = sizes[cell, number]
             normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
             linear, _, means = lagrange(len(vertices))
-            basis_dofs = cells.dofs[:, lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0]
+            nodes = lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0
+            basis_dofs = cells.dofs[cell][:, nodes]
             moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
-            values = np.linalg.solve(means, moments) / sizes[:, None, None]
+            values = np.linalg.inv(means) @ moments / size[:, None, None]
             quadratic_load.x.array[:] = 0.0
             quadratic_load.x.array.reshape(-1, d)[basis_dofs] = values
-            remainder = np.sqrt(np.maximum(fem.assemble_vector(squares).array[cell_dofs], 0.0))
-            projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means @ values)
+            remainder = np.maximum(fem.assemble_vector(squares).array[cell_dofs[cell]], 0.0) ** 0.5
+            projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means) @ values
             values -= linear @ projection
-            load += projection  # a view of the loading
-            quadratic = np.sqrt(sizes * (values * (means @ values)).sum(axis=(1, 2)))
+            load[cell] += projection  # a view of the loading
+            quadratic = np.sqrt(size * (values * (means @ values)).sum(axis=(1, 2)))
             work = np.minimum(np.hypot(quadratic, remainder), ratio * quadratic + remainder)
-            oscillation += factors[:, number] * work
+            oscillation[cell] += factors[cell, number] * work
     return loading, oscillation

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.sparse import bsr_array, diags_array
-from scipy.sparse.linalg import splu
+from petsc4py import PETSc
 
-from dolfinx_tresca._base.arrays import Array, Mask
+import numpy as np
+from scipy.sparse import bsr_array
+
+from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
 from dolfinx_tresca.guaranteed.cells import MeshCells, mean_products, opposite, rigid_motions
 
@@ -44,15 +45,11 @@ class Stars:
         # the facets at vertex k are opposite to the vertices near[k]
         near = opposite(d)
         arms = cells.points[:, near[near]] - cells.points[:, :, None, None]
-        work = mean_products(d, 2) @ rigid_motions(arms)
-        work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None]
+        work = rigid_motions(d * mean_products(d, 2) @ arms)
+        work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None] / d
         facets, size = cells.facets[:, near], work.shape[3]
         work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
-        starts = np.arange(0, facets.size + 1, d, dtype=np.int32)
-        self._work = bsr_array(
-            (work.reshape(-1, size, d * d), facets.ravel(), starts),
-            shape=(size * n * corners, d * d * len(sums)),
-        ).tocsr()
+        self._work = _block_rows(work, facets, len(sums)).tocsr()
 
         # each star has its own tractions: numbers of facets, and of its vertex among theirs
         place = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
@@ -61,24 +58,19 @@ class Stars:
         firsts = comm.allgather(topology.index_map(0).local_range[0])
         self._owner = np.searchsorted(firsts, cells.vertices.ravel(), side="right") - 1
         columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
-        work, _ = exchange(comm, work.reshape(n * corners, -1), self._owner)
+        work, _ = exchange(comm, work.reshape(n * corners, d * size * d * d), self._owner)
         with errors_on_all_ranks(comm):
-            columns = np.unique(columns.ravel(), return_inverse=True)[1].astype(np.int32)
-            starts = np.arange(0, columns.size + 1, d, dtype=np.int32)
-            rows = bsr_array(
-                (work.reshape(-1, size, d * d), columns, starts),
-                shape=(size * len(work), d * d * columns.size),
-            )
-            equations = (rows @ rows.T).tocsc()
-            diagonal = equations.diagonal()
-            diagonal = np.where(diagonal > 0.0, LOOSE * diagonal, 1.0)
-            equations += diags_array(diagonal, format="csc")
-            self._factors = splu(
-                equations,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            columns = np.unique(columns.ravel(), return_inverse=True)[1]
+            rows = _block_rows(work.reshape(-1, d, size, d * d), columns, columns.size)
+            equations = rows @ rows.T
+            blocks = equations.indptr, equations.indices, equations.data
+            matrix = PETSc.Mat().createBAIJ(equations.shape, size, csr=blocks, comm=PETSc.COMM_SELF)
+            del work, rows, equations, blocks
+            diagonal = matrix.getDiagonal()
+            diagonal.array = np.where(diagonal.array > 0.0, LOOSE * diagonal.array, 1.0)
+            matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD)
+            matrix.factorLU(*matrix.getOrdering("nd"))  # in place, by blocks
+        self._factors = matrix
 
     def _balancing(self, missing: Array) -> Array:
         """Return the least tractions (facets, d * d, 1) of all stars in terms of `_roots`.
@@ -86,9 +78,10 @@ class Stars:
         They have the forces and moments (n, d + 1, r) at the vertices of cells. Collective.
         """
         comm, owner = self._cells.V.mesh.comm, self._owner
-        right, _ = exchange(comm, missing.reshape(len(owner), -1), owner)
-        solution = self._factors.solve(right.ravel()).reshape(right.shape)
-        returned, _ = exchange(comm, solution, self._senders)
+        right, _ = exchange(comm, missing.reshape(len(owner), missing.shape[2]), owner)
+        forces = PETSc.Vec().createWithArray(right.ravel(), comm=PETSc.COMM_SELF)
+        self._factors.solve(forces, solution := forces.duplicate())
+        returned, _ = exchange(comm, solution.array.reshape(right.shape), self._senders)
         supports = np.empty_like(returned)
         supports[np.argsort(owner, kind="stable")] = returned
         tractions = (supports.ravel() @ self._work).reshape(self._roots.shape[:2])
@@ -104,7 +97,7 @@ class Stars:
         cells, d = self._cells, self._cells.d
         forces = cells.facet_sums(cells.signs * gradient[:, :, :d]).reshape(-1, d * d, 1)
         tractions = np.swapaxes(self._roots, 1, 2) @ forces
-        total = (self._work @ tractions.ravel()).reshape(*cells.facets.shape, -1)
+        total = (self._work @ tractions.ravel()).reshape(*cells.facets.shape, d * (d + 1) // 2)
         return cells.on_sides(self._roots @ (d * tractions - self._balancing(total)))
 
     def equilibrated(self, loading: Array, stress: Array) -> Array:
@@ -117,6 +110,13 @@ class Stars:
         result = cells.on_sides(cells.facet_sums(cells.signs * loading[:, :, :d]) / cells.sides)
         result[:, :, d] = loading[:, :, d]
         # a force at the vertex itself has no moment about it
-        moments = (0, 0), (0, 0), (0, d * (d - 1) // 2)
-        missing = np.pad(cells.resultants(stress - result), moments)
+        missing = np.pad(cells.resultants(stress - result), ((0, 0), (0, 0), (0, d * (d - 1) // 2)))
         return result + cells.on_sides(self._roots @ self._balancing(missing))
+
+
+def _block_rows(blocks: Array, columns: Indices, width: int) -> bsr_array:
+    """Return a sparse matrix with blocks (..., k, ., .), k a row, in given of `width` columns."""
+    count, rows, size = blocks.shape[-3:]
+    starts = np.arange(0, columns.size + 1, count, dtype=np.int32)
+    entries = blocks.reshape(-1, rows, size), columns.ravel().astype(np.int32), starts
+    return bsr_array(entries, shape=(rows * columns.size // count, size * width))

@@ -32,7 +32,7 @@ SHAPES = {
 
 def identity(d: int, n: int) -> np.ndarray:
     """Return the compliance with which energies are squared norms."""
-    return np.repeat(np.eye(d * d)[None], n, axis=0)
+    return np.repeat(np.eye(d * (d + 1) // 2)[None], n, axis=0)
 
 
 def divided(d: int, k: int) -> np.ndarray:
