@@ -470,8 +470,9 @@ class ContactSystem(PetscOwner):
         if dual_solution.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(dual_solution.deficit)
         motions = self.obstacles.motions
-        if tools is not None:
-            motions = tools.places(dual.tool_motions(dual_solution.c), motions)
+        if tools is not None and dual.equilibrium is not None:
+            c = (dual.equilibrium.factors * dual_solution.c)[dual.of_tools]
+            motions = tools.places(c, motions)
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)

@@ -227,22 +227,11 @@ class DiscretisationError:
     an edge would depend on that edge alone, and the difference would be zero on the boundary, which
     has singular edges.
 
-    The estimate, which is no bound, was 0.7 to 1.5 times the error on scenes with singular edges
-    and Poisson's ratios of up to 0.49 (benchmarks/README.md, "Measured once"); closer to 0.5, cells
-    lock, and the error is larger compared with it. At corners of inclusions that are 1000 times
-    stiffer than the rest, it is up to 1.7 times the error for degree 2. If the material inside a
-    body changes abruptly, the true gradient jumps too: each material then has means of its own, for
-    up to `MOST_MATERIALS` materials. If it varies from cell to cell without gaps between the
-    stiffnesses, the estimate is too large.
-
-    For degree 2, the gradient differs from the true gradient by c h^2 P_2(x), with a factor c, the
-    size h of the cell, and Legendre's polynomial P_2 of the position x in the cell. This difference
-    is equal on both sides of a node if neighbouring cells are alike. Where a smooth solution varies
-    along one direction of such a mesh, gradients therefore hardly jump, and the ratio of the
-    estimate to the error falls with h; where the solution varies in two directions, the ratio does
-    not fall (Babuska and Yu, 1987, Asymptotically exact a posteriori error estimator for
-    biquadratic elements: errors of even degree are in the cells' interiors, not in jumps). Edges of
-    contact areas have no such symmetry.
+    The estimate is no bound: docs/theory/accuracy.md says how far it was from the error, and where
+    it is too small, such as for degree 2 on regular meshes along which the solution varies in one
+    direction alone. If the material inside a body changes abruptly, the true gradient jumps, too:
+    each material then has means of its own, for up to `MOST_MATERIALS` materials. If it varies from
+    cell to cell without gaps between the stiffnesses, the estimate is too large.
 
     In bodies of revolution, the error of the hoop strain u_r / r counts as zero: it is of higher
     order than the error of the gradient, except in the cells at the axis.

@@ -86,7 +86,8 @@ class JumpOperator(PetscOwner):
         """Assemble B. Collective."""
         self.system, self.frames, self.comm = system, frames, system.comm
         self.reductions = RankReductions(system.comm)
-        self.nodes = _consecutive([len(pair.nodes) for pair in pairs])
+        ends = np.cumsum([0, *(len(pair.nodes) for pair in pairs)]).tolist()
+        self.nodes = [slice(*ends_of_pair) for ends_of_pair in pairwise(ends)]
         counts = [len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)]
         rows = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
         self._rows = list(zip(rows[::2], rows[1::2], strict=True))
@@ -267,11 +268,6 @@ class JumpOperator(PetscOwner):
         force = self.contact_force(x)
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force
-
-
-def _consecutive(lengths: Sequence[int]) -> list[slice]:
-    """Return slices of given lengths that follow one another."""
-    return [slice(*ends) for ends in pairwise(np.cumsum([0, *lengths]).tolist())]
 
 
 def _scaled(values: Array, factors: Array, count: int) -> Array:

@@ -332,10 +332,6 @@ class DualProgram:
             return r, 0.0
         return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
 
-    def tool_motions(self, c: Array) -> Array:
-        """Return the motions of all tools at multipliers c of the constraints."""
-        return c if self.equilibrium is None else (self.equilibrium.factors * c)[self.of_tools]
-
     def jump_of_tools(self, c: Array) -> Array:
         """Return G c (size,) for the motions of tools alone."""
         return np.asarray(self.constraints.columns[:, self.of_tools] @ c[self.of_tools])

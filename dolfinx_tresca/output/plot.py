@@ -145,23 +145,18 @@ def display_for_pictures() -> Iterator[None]:
     Then VTK 9.5 and later render through EGL, if the system has this library. Other versions would
     end in a segmentation fault: for these Xvfb, an X server, is started.
     """
+    import pyvista
+
     with ExitStack() as stack:
         linux = sys.platform.startswith("linux")
         if linux and not os.environ.get("DISPLAY") and WINDOW not in os.environ:
-            if renders_off_screen():
+            if find_library("EGL") is not None and tuple(pyvista.vtk_version_info) >= (9, 5):
                 variable, value = WINDOW, "vtkEGLRenderWindow"
             else:
                 variable, value = "DISPLAY", x_server(stack)
             os.environ[variable] = value
             stack.callback(os.environ.pop, variable)
         yield
-
-
-def renders_off_screen() -> bool:
-    """Return whether VTK can render through EGL, without an X server."""
-    import pyvista
-
-    return find_library("EGL") is not None and tuple(pyvista.vtk_version_info) >= (9, 5)
 
 
 def x_server(stack: ExitStack) -> str:

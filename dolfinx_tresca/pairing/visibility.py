@@ -60,8 +60,7 @@ class Visibility:
     are on one body, a segment enters or leaves this body at y, which does not hide y.
 
     If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
-    counts at x, leaving counts at y. Among several visible points the nearest one is paired, see
-    `weights_of_nearest`.
+    counts at x, leaving counts at y.
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:

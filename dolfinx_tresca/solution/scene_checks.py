@@ -287,7 +287,6 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     section = cones.section(x)
     face = section.face(2.0 * x)  # nodes on their circles slip
     by_pressure, by_slip = cones.slopes(x, face.slip)
-    assert cones.slip is not None
     at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x).radius
     slips = face.slip & (cones.slip > 0.0)
     mean = np.zeros_like(by_slip)

@@ -15,7 +15,7 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualProblem
 from dolfinx_tresca.solvers.products import NodalMaps, WholeModel
 
-#: The method ends when the mean complementarity is below this multiple of its first value. The
+#: The method ends when the complementarity y'z is below this multiple of its first value. The
 #: energy of what pressures and gaps lack of the solution is then 1e-16 of the whole; Newton's
 #: method, which takes a few steps from there, finds the rest.
 COMPLEMENTARY = 1e-12
@@ -23,7 +23,7 @@ COMPLEMENTARY = 1e-12
 #: Part of the way to the boundary of the cones that a step takes at most.
 TO_BOUNDARY = 0.99
 
-#: Least and largest centring of a step, which is the factor by which it is to reduce the mean
+#: Least and largest centring of a step, which is the factor by which it is to reduce the
 #: complementarity: the square of the part that the previous step had to leave, between both.
 LEAST_CENTRING, LARGEST_CENTRING = 0.05, 0.8
 
@@ -47,19 +47,21 @@ class SecondOrderCones:
 
     def __init__(self, cones: FeasibleSet, size: Array) -> None:
         """Find the cones of this rank; `size` (size,) is diag(A). Not collective."""
-        self.size, discs = cones.size, np.arange(len(cones.radius))
+        self.size = cones.size
         order = np.argsort(cones.node, kind="stable")
         node = cones.node[order]
-        tangents = np.full((len(discs), 2), -1)
+        tangents = np.full((len(cones.radius), 2), -1)
         tangents[node, np.arange(len(node)) - np.searchsorted(node, node)] = cones.tangential[order]
         self.free = 1.0 - cones.at_tangents((~cones.movable).astype(float))
         # y is in units of energy^(1/2), equally for the three components
         of_disc, of_normal = np.sqrt(cones.disc_means(size)), np.sqrt(size[cones.normal])
         none = np.full((len(cones.normal), 2), -1)
         positions: list[Indices] = [np.column_stack([cones.normal, none])]
-        scales, constants = [np.tile(of_normal[:, None], 3)], [np.zeros(len(cones.normal))]
+        scales = [np.tile(of_normal[:, None], 3)]
+        constants: list[Array] = [np.zeros(len(cones.normal))]
         for constant, slope in cones.linear_bounds():
-            bounded = discs[cones.movable & np.isfinite(constant) & (tangents[:, 0] >= 0)]
+            has_cone = cones.movable & np.isfinite(constant) & (tangents[:, 0] >= 0)
+            bounded = np.flatnonzero(has_cone)
             slope = np.where(cones.normal_of >= 0, slope, 0.0)[bounded]
             normals = np.where(slope > 0.0, cones.normal_of[bounded], -1)
             positions.append(np.column_stack([normals, tangents[bounded]]))
@@ -123,7 +125,7 @@ class Scaling:
         """Compute the maps for points y, z (m, 3) inside of the cones."""
         of_y, of_z = determinants(y), determinants(z)
         a, b = y / np.sqrt(of_y)[:, None], z / np.sqrt(of_z)[:, None]
-        mean = np.sqrt(0.5 * (1.0 + (a * b).sum(axis=1)))
+        mean = np.sqrt(0.5 + 0.5 * np.maximum((a * b).sum(axis=1), 1.0))
         self._axis = (a + reflected(b)) / (2.0 * mean)[:, None]
         self._size = ((of_y / of_z) ** 0.25)[:, None]
         self.determinant = np.sqrt(of_y * of_z)
@@ -178,13 +180,9 @@ def interior_point(
     def largest(values: Array) -> float:
         return reductions.largest(float(values.max(initial=0.0)))
 
-    def mean(values: Array) -> float:
-        sums = reductions.total(np.array([values.sum(), len(cone_map.constant)]))
-        return float(sums[0] / max(sums[1], 1.0))
-
     def solution(blocks: Array, right: Array, missing: Array, soft: float) -> tuple[Array, Array]:
-        maps = NodalMaps(test, cone_map.between(blocks), test)
         S = constraints.softness_with(FIRST_SOFTNESS * soft * softness)
+        maps = NodalMaps(test, cone_map.between(blocks), test)
         return model.solve_between(maps, right, G, S, missing)
 
     identity = np.broadcast_to(np.eye(3), (len(cone_map.constant), 3, 3)).copy()
@@ -195,25 +193,24 @@ def interior_point(
     if unit == 0.0:  # no loads
         return x, c
     for point in (y, z):  # inside of the cones
-        outside = largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
-        point[:, 0] += unit + outside
-    at_start, centring = mean((y * z).sum(axis=1)), LARGEST_CENTRING
+        point[:, 0] += unit + largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
+    count = float(reductions.total(np.array(float(len(y)))))
+    at_start, centring = float(reductions.inner(y.ravel(), z.ravel())), LARGEST_CENTRING
     for _ in range(MOST_STEPS):
-        complementarity = mean((y * z).sum(axis=1))
+        complementarity = float(reductions.inner(y.ravel(), z.ravel()))
         if not complementarity > COMPLEMENTARY * at_start:
             break
         scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
         scaled = scaling.apply(z)
         inverse = reflected(scaled) / scaling.determinant[:, None]
-        target = centring * complementarity * inverse - scaled
-        closed, derivative = z.copy(), identity.copy()
-        closed[:, 0] -= slip
+        target = centring * complementarity / count * inverse - scaled
+        derivative = identity.copy()  # of z - o, which is this matrix times z
         derivative[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
         blocks = derivative @ scaling.inverse_square()
         lacking = cone_map.linear(x) + cone_map.constant - y
         change = scaling.invert(target - scaling.invert(lacking))
-        gradient = model.apply(x) + r - G @ c - cone_map.transposed(closed)
-        right = cone_map.transposed(np.einsum("mij,mj->mi", derivative, change)) - gradient
+        right = cone_map.transposed(np.einsum("mij,mj->mi", derivative, z + change))
+        right -= model.apply(x) + r - G @ c
         soft = float(np.sqrt(complementarity / at_start))
         dx, dc = solution(blocks, right, constraints.residual(x, c), soft)
         dy = cone_map.linear(dx) + lacking

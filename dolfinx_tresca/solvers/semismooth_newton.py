@@ -91,9 +91,7 @@ class SemismoothNewton:
     constraint by its compliance, the sum of G^2 / D. A step is halved until it reduces the residual
     by a tenth of what it promises. If no part of a step does, contact on this face holds some
     bodies only weakly, or not at all: then S is softened for the steps that follow, as in the
-    method of Levenberg and Marquardt. After good steps, S is stiffened again. Soft constraints
-    promise little; a body that nothing holds on this face moves until it touches others, by steps
-    that grow while they keep their promises.
+    method of Levenberg and Marquardt. After good steps, S is stiffened again.
 
     Methods are collective, and need no product with A.
     """
@@ -249,15 +247,13 @@ def interior_guesses(
     problem, G = newton.problem, newton.problem.constraints.columns
     r_at_zero = start.r - model.apply(start.x) + G @ start.c
     x, r = start.x, np.zeros_like(start.r)
-    for number in range(GUESSES):
+    for number in range(1 if problem.admissible.has_given_bounds else GUESSES):
         admissible = problem.admissible.at_point(x, r)
         cones = admissible.section(x) if number > 0 else admissible
         x, c = interior_point(problem, model, cones, r_at_zero, newton.softness)
         x = cones.project(x)
         r = r_at_zero + model.apply(x) - G @ c
         yield newton.point(x, c, r)
-        if admissible.has_given_bounds:
-            break
 
 
 def solve_model(

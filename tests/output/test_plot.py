@@ -358,7 +358,7 @@ def no_window(monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no display, and VTK cannot load EGL."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv(plot.WINDOW, raising=False)
-    monkeypatch.setattr(plot, "renders_off_screen", lambda: False)
+    monkeypatch.setattr(plot, "find_library", lambda name: None)
 
 
 @pytest.mark.usefixtures("no_window")
