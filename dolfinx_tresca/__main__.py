@@ -23,9 +23,8 @@ def main() -> None:
         description="Solve two bricks in contact with friction, and write results to results/.",
     )
     parser.add_argument("--check", action="store_true", help="print versions, for bug reports")
-    check = parser.parse_args().check
     is_root = MPI.COMM_WORLD.rank == 0
-    if check:
+    if parser.parse_args().check:
         if is_root:
             print(environment())
         return

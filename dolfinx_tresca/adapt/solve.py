@@ -287,7 +287,7 @@ def solve_adaptively(
             for it. The iteration continues until the iteration's part of this error is small, too.
             The patch of a `MeanPressure` or `MeanSlip` needs a contact node on the first mesh.
         fraction: part of the sum of squared errors that the cells to be cut have together; see
-            `refine`. (On two bricks 0.5 and 0.85 took up to 1.2 times as long.)
+            `refine`.
         max_dofs: approximate limit for `free_dofs` of a mesh: no problem is made on a larger mesh.
         max_levels: limit for the number of meshes.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this

@@ -148,9 +148,8 @@ class ContactSystem(PetscOwner):
         for pair, on_nodes in zip(self.pairs, self.jump.pairs, strict=True):
             gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
             gaps.append(self.friction.values.scalars_at(gap, on_nodes.nodes, name))
-        motions = self.obstacles.motions
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
-            gaps[number] += float(axis @ motions[number][:, 3])
+            gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
 
     def update_gaps(self) -> None:

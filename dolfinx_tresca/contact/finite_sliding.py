@@ -101,8 +101,8 @@ class FiniteSliding:
     configuration lies on the step. Where bodies snap, u(w) = w has an unstable solution, or none:
     residuals u - w grow, and the accelerated step would go against them. Then the step w <- u(w) is
     taken, until bodies reach another equilibrium, and earlier configurations are forgotten. If it
-    leads back to where such a step has led before, bodies do not snap: the equilibrium is stable,
-    though the iteration w <- u(w) is not, as for the tip of a snap-fit hook on a round edge.
+    leads back to where such a step has led before, the equilibrium is stable, and bodies do not
+    snap.
 
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last

@@ -160,8 +160,7 @@ class EnergyBound:
     nodes alone (`Lift`), such that the jump at every node takes its best value for fixed
     neighbours: nodes that should close or stick do so. If K also has rows for a pressure, w moves
     all nodes (`SaddleLift`), and |u|_K is the norm of the displacement alone, with the pressure
-    eliminated. If such a K is the tangent of a Newton step, there is no bound: the factorisation
-    for `SaddleLift` would double the cost of the step.
+    eliminated. If such a K is the tangent of a Newton step, there is no bound.
     """
 
     def __init__(self, jump: JumpOperator, nodal_stiffness: Array) -> None:
@@ -222,10 +221,7 @@ class DiscretisationError:
     difference of the two gradients is an estimate of the error. The energy of this difference is
     computed with the form `a`, in which the difference replaces the gradient; this works for any
     cell and material. The gradient is evaluated at the Gauss points of order 2 (degree - 1), where
-    it is most accurate (Barlow, 1976), and extrapolated to the nodes, where means are taken. If the
-    gradient were evaluated at the nodes of quadrilaterals or hexahedra instead, its component along
-    an edge would depend on that edge alone, and the difference would be zero on the boundary, which
-    has singular edges.
+    it is most accurate (Barlow, 1976), and extrapolated to the nodes, where means are taken.
 
     The estimate is no bound: docs/theory/accuracy.md says how far it was from the error, and where
     it is too small, such as for degree 2 on regular meshes along which the solution varies in one

@@ -37,10 +37,7 @@ from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver, cholesky
 
 #: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
-#: or more than MOST_ON_BODY multipliers, which limit the number of solves with K. With half the
-#: share, two of 216 piles of stones (`tests/validation/test_random_piles.py`) are not solved; with
-#: twice the share, all take 8,770 products in place of 8,243. Two walls of 15 bricks with up to 348
-#: multipliers on a brick would take 0.65 times the time with such a matrix.
+#: or more than MOST_ON_BODY multipliers, which limit the number of solves with K.
 BODY_SHARE, MOST_ON_BODY = 0.5, 200
 
 #: Number of solves with K in one block.
@@ -182,11 +179,9 @@ class NearField(PetscOwner):
     """The approximation D = B S B' <= A, where S <= K^-1 approximates K^-1 near the contact.
 
     Effects of tractions that oscillate between nodes decay within a few cells: nodes further away
-    may be clamped. (Of FETI's preconditioners, which approximate A^-1, the lumped one clamps all
-    nodes except interface nodes, and the Dirichlet preconditioner none: Farhat, Mandel and Roux
-    1994.) Further away, the effect of tractions is smooth: products with A represent it, and with
-    multigrid a coarse level in S most of it: on two bricks (N = 10) 0.4 A <= D in place of 0.02 A,
-    and without it contact solves take 1.3 to 1.8 times the Krylov iterations.
+    may be clamped (as in FETI's preconditioners: Farhat, Mandel and Roux 1994). Further away, the
+    effect of tractions is smooth: products with A represent it, and with multigrid a coarse level
+    in S most of it. Without this level, contact solves take 1.3 to 1.8 times the Krylov iterations.
 
     S solves a local system, with K on the degrees of freedom near the contact while all others are
     clamped, twice. Between the two solves, a system on a coarse level of multigrid is solved. The

@@ -101,9 +101,8 @@ def plot(
             return None
         contacts = [contact for contact in gathered if contact is not None]
         optional("pyvista")
-        style = optional("matplotlib.style")
         picture = io.BytesIO()
-        with style.context(STYLE), display_for_pictures():
+        with optional("matplotlib.style").context(STYLE), display_for_pictures():
             figure = compose(volume, contacts, factor, units)
             figure.savefig(picture, format=suffix[1:], dpi=panels.DPI)
         if name is None:

@@ -76,10 +76,8 @@ class SmoothSurface:
     size of the facet, and zero for a flat surface. On a parabolic surface (n_c + n_d).(x_d - x_c)
     is zero. Next to a kink between flat facets, where the normal leans at one corner only, it is as
     large as the difference: there the height is zero, and beyond `KINK_ANGLE` the surface is the
-    facet itself, with its normal. So two surfaces with kinks at the same place, such as a dovetail
-    in its slot, touch along the normal of the flat facets, and not along the mean normals at the
-    kinks. At the ends of a curve in 2D, where the nodal normal is a mean over one side, the normal
-    is turned until the sum is zero.
+    facet itself, with its normal. At the ends of a curve in 2D, where the nodal normal is a mean
+    over one side, the normal is turned until the sum is zero.
 
     Facets with curved edges (degree 2) have no height, and normals of their own.
 

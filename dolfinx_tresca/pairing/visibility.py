@@ -52,8 +52,7 @@ class Visibility:
       secondary body, nor enter the primary body.
 
     If edges of two bodies overlap, the segment may also run inside both bodies along a face. So x
-    is also not paired with y if the distance of x from the primary surface, in any direction, is
-    much smaller than the penetration |s|.
+    is not paired with y if its distance from the primary surface is much smaller than |s|.
 
     On a surface that touches itself, both sides consist of all facets. A facet in the way of a
     segment then counts as secondary if it is on the body of x, and as primary otherwise. If x and y
@@ -338,12 +337,11 @@ class SelfContact:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of two bodies may. Those of one body may not if they are neighbours, or the two faces
-        of a wall. Neighbours share a corner and do not face each other in the undeformed mesh; the
-        two lips of a crack also share corners at its tip, but face each other. Two facets are the
-        faces of a wall if each is behind the other, deeper than facets of curved surfaces penetrate
-        each other (`SHALLOW_DEPTH`) or, if they share a corner as at the edge of a blade, deeper
-        than touching lips (`NEGLIGIBLE`), both in the undeformed mesh and in the present
-        configuration, whose depth must also exceed `WALL_PART` of the undeformed one.
+        of a wall. Neighbours share a corner and, unlike the lips of a crack at its tip, do not face
+        each other in the undeformed mesh. Two facets are the faces of a wall if each is behind the
+        other, deeper than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`) or, if
+        they share a corner, deeper than touching lips (`NEGLIGIBLE`), both in the undeformed mesh
+        and in the present configuration, whose depth must exceed `WALL_PART` of the undeformed one.
         """
         f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))

@@ -353,8 +353,8 @@ class FrictionCones(FeasibleSet):
 
     def linear_bounds(self) -> list[tuple[Array, Array]]:
         """Return functions of the pressure whose minimum is the bound, for fixed coefficients."""
-        limit = self.radius + self.limit
-        return [(self.radius, self.coefficient), (limit, np.zeros_like(limit))]
+        zero = np.zeros_like(self.limit)
+        return [(self.radius, self.coefficient), (self.radius + self.limit, zero)]
 
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds at the pressures of x (size,)."""

@@ -34,8 +34,7 @@ from dolfinx_tresca.status import ContactStatus
 
 #: The rest of A is computed, unless it is too large (`ContactCompliance.complete_products`), if
 #: Newton's method does not solve the model in this number of consecutive iterations, or if the
-#: residual is not halved in `SHORT_PATIENCE` iterations. (If A is not computed at once, two strips
-#: of 400 cells that stick along their joint take 11 iterations without, and 7 with.)
+#: residual is not halved in `SHORT_PATIENCE` iterations.
 MISSES = 2
 
 
@@ -64,8 +63,7 @@ def solve(
     """
     if options.method in paper.ALGORITHMS:
         if problem.admissible.has_given_bounds:
-            run = paper.Run(problem, start, options, observe)
-            return paper.ALGORITHMS[options.method](run)
+            return paper.ALGORITHMS[options.method](paper.Run(problem, start, options, observe))
         raise InputError(
             f"method={options.method!r} needs slip bounds that are given: here they depend on the "
             "pressure. Leave out `method`, or give the friction as Tresca, Bonded or Frictionless."

@@ -23,8 +23,8 @@ BALANCED, UNBALANCED = 1e-10, 1e-6
 #: turned by 5e-4, which joints of the linear programme with more friction and length allow for.
 LESS_FRICTION, MORE_FRICTION, LONGER = 0.99, 1.01, 1e-3
 
-#: Of 300 piles: those whose fixed point is not found (none here; another processor may miss one, such
-#: as pile 242, in which a body touches another almost without force), and those for which the
+#: Of 300 piles: those whose fixed point is not found (none here; another processor may miss one,
+#: such as pile 242, in which a body touches another almost without force), and those for which the
 #: programmes of shorter and of longer joints differ.
 MISSED, DECIDED_BY_MESH = 2, 37
 
