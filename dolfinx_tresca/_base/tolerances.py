@@ -30,7 +30,6 @@ ASSEMBLY_ROUNDING = 1e-12
 #: Doubling or halving it changes nothing: solvers stop at their own rounding first.
 FULL_ACCURACY = 1e-13
 
-
 #: An iteration makes progress if its residual is below this multiple of the least earlier one. If
 #: the distance of the number from 1 is doubled or halved, products change by two at most.
 PROGRESS = 0.9
