@@ -55,9 +55,9 @@ class NaturalResidual:
         self.rho = rho
         self.scale = self.norm_at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
-        moved = self._problem.constraints.absolute @ np.abs(self.zero.c)
+        of_constraints = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self._terms = norm(self._problem, self._problem.b_terms)
-        size = self._terms + norm(self._problem, moved)
+        size = self._terms + norm(self._problem, of_constraints)
         self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = self.scale <= self.rounding
         self.scale = max(0.0 if self.zero_is_solution else self.scale, self._counted)

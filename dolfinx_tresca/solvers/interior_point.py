@@ -1,6 +1,6 @@
-"""An interior-point method for the laws of contact and friction with a known A. Numpy only.
+"""An interior-point method for the laws of contact and friction with a known A. Numpy and scipy.
 
-Its points are bad near the solution, where `SemismoothNewton` is exact, but the number of its steps
+Near the solution it loses digits, where `SemismoothNewton` is exact, but the number of its steps
 hardly depends on the number of bodies, and it needs no initial guess.
 """
 
@@ -15,21 +15,20 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualProblem
 from dolfinx_tresca.solvers.products import NodalMaps, WholeModel
 
-#: The method ends when the complementarity y'z is below this multiple of its first value. The
-#: energy of what pressures and gaps lack of the solution is then 1e-16 of the whole; Newton's
-#: method, which takes a few steps from there, finds the rest.
+#: The method ends when the complementarity y'z is below this multiple of its value at the start,
+#: which is far above the energy of the solution: on walls and piles, some steps of Newton's method
+#: remain. With 1e-16, rounding makes systems of walls singular.
 COMPLEMENTARY = 1e-12
 
 #: Part of the way to the boundary of the cones that a step takes at most.
 TO_BOUNDARY = 0.99
 
-#: Least and largest centring of a step, which is the factor by which it is to reduce the
-#: complementarity: the square of the part that the previous step had to leave, between both.
+#: The centring of a step, which is the factor by which it is to reduce y'z, is (1 - t)^2 for the
+#: length t of the previous step, but between these numbers; in the first step it is the second one.
 LEAST_CENTRING, LARGEST_CENTRING = 0.05, 0.8
 
-#: First softness of the constraints, times the softness with which Newton's method starts. It falls
-#: with the root of the complementarity: bodies that contact hardly holds shall not move away. With
-#: 1 in place of 100, piles of stones take 12 % more steps of Newton's method.
+#: First softness of the constraints, in units of that with which Newton's method starts; it falls
+#: with the root of y'z. With 1, piles of stones take 12 % more steps of Newton's method.
 FIRST_SOFTNESS = 100.0
 
 
@@ -37,33 +36,35 @@ class SecondOrderCones:
     """The second-order cones y_0 >= |(y_1, y_2)| with y = H x + h that contain multipliers x.
 
     They are the half-lines of pressures, and a cone or a disc for each linear function of the
-    pressure that bounds friction. A bound that is a constant makes a disc; without a bound, or if
-    it is infinite, there is no cone.
+    pressure that bounds friction, such as c + F p and c + l. A bound that is a constant makes a
+    disc, in whose y_0 no pressure is; without a bound, or if it is infinite, there is no cone.
 
     Attributes:
         free: (size,) 1; 0 for multipliers that a bound of zero forbids.
         constant: (m, 3) h.
     """
 
-    def __init__(self, cones: FeasibleSet, size: Array) -> None:
-        """Find the cones of this rank; `size` (size,) is diag(A). Not collective."""
-        self.size = cones.size
-        order = np.argsort(cones.node, kind="stable")
-        node = cones.node[order]
-        tangents = np.full((len(cones.radius), 2), -1)
-        tangents[node, np.arange(len(node)) - np.searchsorted(node, node)] = cones.tangential[order]
-        self.free = 1.0 - cones.at_tangents((~cones.movable).astype(float))
+    def __init__(self, admissible: FeasibleSet, diagonal: Array) -> None:
+        """Find the cones of this rank; `diagonal` (size,) is diag(A). Not collective."""
+        self.size = admissible.size
+        order = np.argsort(admissible.node, kind="stable")
+        node = admissible.node[order]
+        tangents = np.full((len(admissible.radius), 2), -1)
+        tangents[node, np.arange(len(node)) - np.searchsorted(node, node)] = admissible.tangential[
+            order
+        ]
+        self.free = 1.0 - admissible.at_tangents((~admissible.movable).astype(float))
         # y is in units of energy^(1/2), equally for the three components
-        of_disc, of_normal = np.sqrt(cones.disc_means(size)), np.sqrt(size[cones.normal])
-        none = np.full((len(cones.normal), 2), -1)
-        positions: list[Indices] = [np.column_stack([cones.normal, none])]
-        scales = [np.tile(of_normal[:, None], 3)]
-        constants: list[Array] = [np.zeros(len(cones.normal))]
-        for constant, slope in cones.linear_bounds():
-            has_cone = cones.movable & np.isfinite(constant) & (tangents[:, 0] >= 0)
+        of_disc = np.sqrt(admissible.disc_means(diagonal))
+        none = np.full((len(admissible.normal), 2), -1)
+        positions: list[Indices] = [np.column_stack([admissible.normal, none])]
+        scales = [np.tile(np.sqrt(diagonal[admissible.normal])[:, None], 3)]
+        constants: list[Array] = [np.zeros(len(admissible.normal))]
+        for constant, slope in admissible.linear_bounds():
+            has_cone = admissible.movable & np.isfinite(constant) & (tangents[:, 0] >= 0)
             bounded = np.flatnonzero(has_cone)
-            slope = np.where(cones.normal_of >= 0, slope, 0.0)[bounded]
-            normals = np.where(slope > 0.0, cones.normal_of[bounded], -1)
+            slope = np.where(admissible.normal_of >= 0, slope, 0.0)[bounded]
+            normals = np.where(slope > 0.0, admissible.normal_of[bounded], -1)
             positions.append(np.column_stack([normals, tangents[bounded]]))
             factors = np.column_stack([slope, np.ones_like(slope), np.ones_like(slope)])
             scales.append(of_disc[bounded, None] * factors)
@@ -105,7 +106,7 @@ def reflected(y: Array) -> Array:
     return np.asarray(y * np.array([1.0, -1.0, -1.0]))
 
 
-def blow_up(y: Array, step: Array) -> Array:
+def inverse_limit(y: Array, step: Array) -> Array:
     """Return 1 / t (m,) with the largest t for which y + t step is in its cone; 0 if any t is."""
     root = np.sqrt(determinants(y))
     unit = y / root[:, None]
@@ -152,72 +153,73 @@ class Scaling:
 
 
 def interior_point(
-    problem: DualProblem, model: WholeModel, cones: FeasibleSet, r: Array, softness: float
+    problem: DualProblem, model: WholeModel, admissible: FeasibleSet, r0: Array, softness: float
 ) -> tuple[Array, Array]:
     """Return multipliers x (size,) and c (k,) near a solution with the model M of A. Collective.
 
     With cones y = H x + h and z in the same cones, the method solves
 
-        M x + r - G c - H'(z - o) = 0,   G'x + S c = e,   y'z = 0,
+        M x + r0 - G c - H'(z - o) = 0,   G'x + S c = e,   y'z = 0,
 
-    where r (size,) is the gradient at zero. For Tresca's law o is zero: these are the conditions of
-    a minimum, (y_1, y_2) are tractions and (z_1, z_2) slips. For cones that open with the pressure,
-    they would be those of a friction that opens the gap by F |slip|. Hence o_0 = |(z_1, z_2)|
-    takes this opening back (de Saxcé and Feng 1998, The bipotential method); the equations are then
-    those of Coulomb's law, and not of a minimum. With a given o, each solution is that of a convex
-    problem (Acary, Cadoux, Lemaréchal and Malick 2011); here o changes with z in each step.
+    where r0 (size,) is the gradient at zero. For Tresca's law o is zero, and these are the
+    conditions of a minimum: (y_1, y_2) are tractions and (z_1, z_2) slips, but for signs and units.
+    For cones that open with the pressure, they would be those of a friction that opens the gap by F
+    |slip|. Hence o = (|(z_1, z_2)|, 0, 0) takes this opening back (de Saxcé and Feng 1998, The
+    bipotential method); the equations are then those of Coulomb's law. With a given o, the problem
+    is convex (Acary, Cadoux, Lemaréchal and Malick 2011); here o changes with z in each step.
 
-    Each step solves these equations, linearised, with y'z reduced by the centring in place of
-    zero, in the scaling of Nesterov and Todd; for o, its derivative is used. Steps are limited by
-    the cones. In each step, constraints are softened as in `SemismoothNewton.step`, by a multiple
-    of `softness` that falls to zero.
+    A step solves the linearised equations with W dz + W^-1 dy = s m v^-1 - v in each cone, where W
+    is Nesterov and Todd's scaling, v = W z, s the centring, and m the mean of y'z; dy = H dx makes
+    this a system for dx and dc with W^-2 in M + H'W^-2 H. Its length is limited by the cones.
+    Constraints are softened as in `SemismoothNewton.step`, by a multiple of `softness` that falls
+    towards zero. It starts at the solution with W = I and z = -y, both moved into the cones. The
+    result may be far from a solution: callers compute its residual.
     """
     reductions, constraints = problem.reductions, problem.constraints
     G = constraints.columns
-    cone_map = SecondOrderCones(cones, model.size)
-    test = diags_array(cone_map.free, format="csr")
+    cone_map = SecondOrderCones(admissible, model.diagonal)
+    movable = diags_array(cone_map.free, format="csr")
 
     def largest(values: Array) -> float:
         return reductions.largest(float(values.max(initial=0.0)))
 
     def solution(blocks: Array, right: Array, missing: Array, soft: float) -> tuple[Array, Array]:
         S = constraints.softness_with(FIRST_SOFTNESS * soft * softness)
-        maps = NodalMaps(test, cone_map.between(blocks), test)
+        maps = NodalMaps(movable, cone_map.between(blocks), movable)
         return model.solve_between(maps, right, G, S, missing)
 
-    identity = np.broadcast_to(np.eye(3), (len(cone_map.constant), 3, 3)).copy()
-    x, c = solution(identity, -r - cone_map.transposed(cone_map.constant), constraints.values, 1.0)
-    y = cone_map.linear(x) + cone_map.constant
+    h = cone_map.constant
+    identity = np.broadcast_to(np.eye(3), (len(h), 3, 3)).copy()
+    x, c = solution(identity, -r0 - cone_map.transposed(h), constraints.values, 1.0)
+    y = cone_map.linear(x) + h
     z = -y
-    unit = largest(np.linalg.norm(y, axis=1))
-    if unit == 0.0:  # no loads
+    start_size = largest(np.linalg.norm(y, axis=1))
+    if start_size == 0.0:  # no loads and constant bounds, or no cones
         return x, c
     for point in (y, z):  # inside of the cones
-        point[:, 0] += unit + largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
+        point[:, 0] += start_size + largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
     count = float(reductions.total(np.array(float(len(y)))))
-    at_start, centring = float(reductions.inner(y.ravel(), z.ravel())), LARGEST_CENTRING
+    at_start, centring = float(reductions.inner(y.ravel(), z.ravel())) / count, LARGEST_CENTRING
     for _ in range(MOST_STEPS):
-        complementarity = float(reductions.inner(y.ravel(), z.ravel()))
+        complementarity = float(reductions.inner(y.ravel(), z.ravel())) / count
         if not complementarity > COMPLEMENTARY * at_start:
             break
         scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
-        scaled = scaling.apply(z)
-        inverse = reflected(scaled) / scaling.determinant[:, None]
-        target = centring * complementarity / count * inverse - scaled
-        derivative = identity.copy()  # of z - o, which is this matrix times z
+        v = scaling.apply(z)
+        target = centring * complementarity / scaling.determinant[:, None] * reflected(v) - v
+        derivative = identity.copy()  # of z - o; in discs and half-lines H ignores its first row
         derivative[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
         blocks = derivative @ scaling.inverse_square()
-        lacking = cone_map.linear(x) + cone_map.constant - y
+        lacking = cone_map.linear(x) + h - y
         change = scaling.invert(target - scaling.invert(lacking))
         right = cone_map.transposed(np.einsum("mij,mj->mi", derivative, z + change))
-        right -= model.apply(x) + r - G @ c
+        right -= model.apply(x) + r0 - G @ c
         soft = float(np.sqrt(complementarity / at_start))
         dx, dc = solution(blocks, right, constraints.residual(x, c), soft)
         dy = cone_map.linear(dx) + lacking
         dz = scaling.invert(target - scaling.invert(dy))
-        t = min(
-            1.0, TO_BOUNDARY / max(largest(blow_up(y, dy)), largest(blow_up(z, dz)), LEAST_DIVISOR)
-        )
+        limit = max(largest(inverse_limit(y, dy)), largest(inverse_limit(z, dz)))
+        t = min(1.0, TO_BOUNDARY / max(limit, LEAST_DIVISOR))
         x, c, y, z = x + t * dx, c + t * dc, y + t * dy, z + t * dz
         centring = min(max((1.0 - t) ** 2, LEAST_CENTRING), LARGEST_CENTRING)
     return x, c

@@ -39,14 +39,12 @@ PROXIMAL, SOFTER = 1e-4, 10.0
 
 #: Newton's method has solved the model if the residual is at most this part of the residual at the
 #: start. (Where A is known whole, or bodies float, it goes on while steps succeed, until the
-#: residual is rounding: else pellets in a tube take 12 iterations in place of 8. With 0.1 and no
-#: further steps, a disc spring that is pressed flat and returns takes 64 Newton steps in place of
-#: 5, since the contact problems are solved by other tractions.)
+#: residual is rounding: else pellets in a tube take 12 iterations in place of 8, and a disc spring
+#: that is pressed flat and returns takes 64 Newton steps in place of 5.)
 SOLVED = 1e-6
 
-#: Number of points of the interior-point method from which Newton's method may begin: a solution of
-#: Coulomb's problem, and those of Tresca's problems with the bounds of the point before. With one,
-#: pile 206 is not solved (`tests/validation/test_random_piles.py`).
+#: Number of points of the interior-point method from which Newton's method may begin, see
+#: `interior_guesses`. With one, pile 206 is not solved (`tests/validation/test_random_piles.py`).
 GUESSES = 5
 
 
@@ -162,14 +160,14 @@ class SemismoothNewton:
 
         The method ends
 
-        - once the residual is rounding (to the tolerance, with a model that the next product
-          improves and without constraints, which are to hold to rounding),
+        - once the residual is rounding, if A is known whole or there are constraints, else once it
+          is below the tolerance,
         - once the residual is below the tolerance, and a step has made no progress, or
         - after `PATIENCE` steps without progress, or after `most_steps` steps.
 
         `newton_solution` sets `is_solved` of the result.
 
-        The tolerance is the residual of a point that solves the equations.
+        A point with at most the residual `tolerance` counts as a solution.
         """
         point = best = start
         softness, idle = self.softness, 0
