@@ -220,9 +220,9 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
     else:
         # after more progress than this, Newton's method goes on in the next iteration
         enough = max(FORCING * guess.residual, newton.rounding)
-        # far from the solution, the interior-point method is faster than many steps
+        # far from the solution, no more steps than the interior-point method takes
         is_far = guess.residual > ROUGH * newton.load
-        point = newton.solve(guess, tolerance, PATIENCE if is_far else MOST_STEPS)
+        point = newton.solve(guess, tolerance, 2 * PATIENCE if is_far else MOST_STEPS)
         if point.residual > (tolerance if is_far else enough):
             for interior in interior_guesses(newton, model, guess):
                 end = newton.solve(interior, tolerance)
