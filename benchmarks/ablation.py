@@ -352,7 +352,7 @@ PARTS: dict[str, Patches] = {
     "shift of A": [(products, "SHIFT", 0.0)],
     "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
-    "other initial guesses": [(semismooth_newton, "GUESSES", 0)],
+    "other initial guesses": [(semismooth_newton, "interior_guesses", lambda *arguments: ())],
     "curvature of circles": [
         (FeasibleSet, "circle_stiffness", lambda self, r, face: np.zeros_like(r))
     ],
@@ -377,6 +377,7 @@ CONSTANTS = {
     "MOST_STEPS",
     "_base.arrays": "ROUNDING",
     "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
+    "solvers.interior_point": "COMPLEMENTARY FIRST_SOFTNESS",
     "solvers.iteration": "MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT "
     "LEAST_SOFTNESS",

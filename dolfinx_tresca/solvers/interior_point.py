@@ -50,9 +50,8 @@ class SecondOrderCones:
         order = np.argsort(admissible.node, kind="stable")
         node = admissible.node[order]
         tangents = np.full((len(admissible.radius), 2), -1)
-        tangents[node, np.arange(len(node)) - np.searchsorted(node, node)] = admissible.tangential[
-            order
-        ]
+        place = np.arange(len(node)) - np.searchsorted(node, node)  # 0 or 1 in the node's disc
+        tangents[node, place] = admissible.tangential[order]
         self.free = 1.0 - admissible.at_tangents((~admissible.movable).astype(float))
         # y is in units of energy^(1/2), equally for the three components
         of_disc = np.sqrt(admissible.disc_means(diagonal))
@@ -199,11 +198,9 @@ def interior_point(
     for point in (y, z):  # inside of the cones
         point[:, 0] += start_size + largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
     count = float(reductions.total(np.array(float(len(y)))))
-    at_start, centring = float(reductions.inner(y.ravel(), z.ravel())) / count, LARGEST_CENTRING
+    complementarity = at_start = float(reductions.inner(y.ravel(), z.ravel())) / count
+    centring = LARGEST_CENTRING
     for _ in range(MOST_STEPS):
-        complementarity = float(reductions.inner(y.ravel(), z.ravel())) / count
-        if not complementarity > COMPLEMENTARY * at_start:
-            break
         scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
         v = scaling.apply(z)
         target = centring * complementarity / scaling.determinant[:, None] * reflected(v) - v
@@ -221,5 +218,8 @@ def interior_point(
         limit = max(largest(inverse_limit(y, dy)), largest(inverse_limit(z, dz)))
         t = min(1.0, TO_BOUNDARY / max(limit, LEAST_DIVISOR))
         x, c, y, z = x + t * dx, c + t * dc, y + t * dy, z + t * dz
+        complementarity = float(reductions.inner(y.ravel(), z.ravel())) / count
+        if not complementarity > COMPLEMENTARY * at_start:
+            break
         centring = min(max((1.0 - t) ** 2, LEAST_CENTRING), LARGEST_CENTRING)
     return x, c
