@@ -32,7 +32,7 @@ RUNS = {
     ),
     "pairing": ("--facets 100", "seconds"),
     "assemblies": ("--bricks 2", "weight_products"),
-    "reports": ("--small --scenes strips piles hook taper", "seconds"),
+    "reports": ("--small --scenes strips piles roller taper", "seconds"),
     "fixed_points": ("--number 3 --coefficients 3 --ways all", "found"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
     "guaranteed": ("--scenes slips --sizes 4", "bound"),
@@ -42,7 +42,7 @@ RUNS = {
     ),
     "gradients": ("--sizes 3 --scenes free_end_2 --backends cholesky", "values"),
     "published": ("--cases shrink_fit incline --meshes 1", "value"),
-    "ablation": ("--scenes dense --parts solvers.products.SHIFT", "total"),
+    "ablation": ("--scenes floating --parts solvers.products.SHIFT", "total"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }
 
