@@ -89,7 +89,7 @@ class Bodies:
         tag_names: for each body the name of the tag that all its cells have; "" if there is none.
         label: (owned nodes of V,) the body of each node, in 0, ..., count - 1.
         bounds: (count, 6) bounding box of each body: least x, y, z, then largest [length].
-        nodes: (count,) number of nodes of V in each body.
+        node_counts: (count,) number of nodes of V in each body.
         arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
             body, divided by the length of the box's diagonal.
     """
@@ -98,7 +98,7 @@ class Bodies:
     tag_names: tuple[str, ...]
     label: npt.NDArray[np.int64]
     bounds: Array
-    nodes: npt.NDArray[np.int64]
+    node_counts: npt.NDArray[np.int64]
     arm: Array
 
     @classmethod
@@ -113,8 +113,8 @@ class Bodies:
         size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
         # scaled coordinates, for rotations of each body
         arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / size[label, None]
-        nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=count))
-        return cls(int(count), tag_names, label, bounds, nodes, arm)
+        node_counts = reduce_array(V.mesh.comm, np.bincount(label, minlength=count))
+        return cls(int(count), tag_names, label, bounds, node_counts, arm)
 
     @property
     def names(self) -> tuple[str, ...]:

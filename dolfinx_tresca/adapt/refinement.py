@@ -87,7 +87,7 @@ def refine(
     largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
-    bisection = bisected(mesh, largest_part(comm, np.square(errors / largest), fraction))
+    bisection = bisected(mesh, cells_to_refine(comm, np.square(errors / largest), fraction))
     facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
@@ -233,7 +233,7 @@ def snapped(
     return np.asarray(points)
 
 
-def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
+def cells_to_refine(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
     This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),

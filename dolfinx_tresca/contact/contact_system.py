@@ -21,7 +21,7 @@ from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unus
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.load_steps import SlipHistory, moved_jump
+from dolfinx_tresca.dual.load_steps import SlipHistory, displaced_jump
 from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
@@ -145,9 +145,9 @@ class ContactSystem(PetscOwner):
     def added_gaps(self) -> list[Array]:
         """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective."""
         gaps = []
-        for pair, on_nodes in zip(self.pairs, self.jump.pairs, strict=True):
+        for pair, operators in zip(self.pairs, self.jump.pairs, strict=True):
             gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
-            gaps.append(self.friction.values.scalars_at(gap, on_nodes.nodes, name))
+            gaps.append(self.friction.values.scalars_at(gap, operators.nodes, name))
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
             gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
@@ -162,8 +162,8 @@ class ContactSystem(PetscOwner):
                         f"the gap of contact pair {pair} has values that are NaN or infinite. For "
                         "surfaces that cannot touch give no pair."
                     )
-        operators = zip(self.jump.pairs, gaps, strict=True)
-        self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
+        pairs = zip(self.jump.pairs, gaps, strict=True)
+        self.jump.set_gaps([replace(operators, added_gap=gap) for operators, gap in pairs])
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective."""
@@ -196,11 +196,11 @@ class ContactSystem(PetscOwner):
         """Return to a former state; K and the user's obstacles stay as they are. Collective."""
         self.state = state
         if state.jump is not self.jump:
-            moved_to = self.obstacles.motions
+            present_motions = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
             self._replace_jump(jump, replace(state, jump=jump))
-            self.obstacles.place(moved_to)
+            self.obstacles.place(present_motions)
 
     def begin_solve(self) -> None:
         """Pair where obstacles have moved, and go to where the next solve starts. Collective."""
@@ -220,7 +220,7 @@ class ContactSystem(PetscOwner):
         Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
         stands for the present one. After a `PairingError` the surfaces stay as they were.
         """
-        state, moved, finite = self.state, self.record_motions(), self._finite_sliding
+        state, obstacle_moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
         try:
@@ -229,7 +229,8 @@ class ContactSystem(PetscOwner):
                 (state.configuration, configuration, finite),
             ):
                 differs = not (u is before or np.array_equal(u.x.array, before.x.array))
-                self._pair_anew(u, pairs & (moved | self.comm.allreduce(differs, op=MPI.LOR)))
+                differs = self.comm.allreduce(differs, op=MPI.LOR)
+                self._pair_anew(u, pairs & (obstacle_moves | differs))
         except PairingError:
             self.return_to(state)
             raise
@@ -272,7 +273,7 @@ class ContactSystem(PetscOwner):
             frames = self.jump.frames
             if since_accepted.any() and self.frames_at_rest is not None:
                 frames = self.frames_at_rest.moved_with(u)
-            jump = moved_jump(self.jump, self.pairs, u, anew, frames)
+            jump = displaced_jump(self.jump, self.pairs, u, anew, frames)
             self._replace_jump(jump, self._state.paired_at(jump, u, since_accepted))
 
     def _replace_jump(self, jump: JumpOperator, state: StepState) -> None:
@@ -289,8 +290,8 @@ class ContactSystem(PetscOwner):
         """Return the slip history whose origin moves with the obstacles. Collective."""
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
-        slips = np.where(self.jump.is_tangential, jumps, 0.0)
-        return replace(state.history, origin=state.history.origin + slips)
+        shift = np.where(self.jump.is_tangential, jumps, 0.0)
+        return replace(state.history, origin=state.history.origin + shift)
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length], NaN without multipliers. Collective."""
@@ -443,7 +444,7 @@ class ContactSystem(PetscOwner):
             compliance, jump, state = self.compliance, self.jump, self.state
             products_before, krylov = compliance.products, compliance.solver.krylov_iterations
             history = self.history_of_solve()
-            moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
+            obstacle_moves = (state.accepted.motions != state.motions).any(axis=(1, 2))
             tools = self.obstacles.tools(jump, self.bodies, state.history.begun)
             if tools is not None and options.method != "projected_newton":
                 raise InputError("forces on obstacles and bolts need method='projected_newton'.")
@@ -477,9 +478,8 @@ class ContactSystem(PetscOwner):
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
         timings = dict(zip(timings, largest_sizes(self.comm, *timings.values()), strict=True))
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
-        solution = StepSolution(
-            status, dual, multipliers, evaluation, history, curves, inputs, moved, motions
-        )
+        results = status, dual, multipliers, evaluation, history, curves, inputs
+        solution = StepSolution(*results, obstacle_moves, motions)
         self.state = replace(state, multipliers=multipliers, solution=solution, pending=True)
         log(
             self.comm,
@@ -513,7 +513,7 @@ class ContactSystem(PetscOwner):
         for curve in arguments:
             self.friction.check_curve(*curve)
         scene_checks.hint_at_weakening(
-            self.comm, cones, x, dual.compliance.known_products().largest_ritz_value
+            self.comm, cones, x, dual.compliance.known_products().largest_eigenvalue_estimate
         )
         return arguments
 

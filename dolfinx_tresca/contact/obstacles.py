@@ -144,11 +144,11 @@ class Obstacles:
             )
         point = obstacle.motion.applied_to(given.about[:, None])[:, 0]
         places = np.vstack([jump.pairs[number].places for number in numbers])
-        (size,) = largest_sizes(self._V.mesh.comm, places - point[: places.shape[1]])
+        (arm,) = largest_sizes(self._V.mesh.comm, places - point[: places.shape[1]])
         load, result = np.append(given.force(), given.moment()), []
         for name in free:
             turns = name.startswith("r")
-            direction = np.eye(6)[FREEDOMS[3].index(name)] / (size if turns and size else 1.0)
+            direction = np.eye(6)[FREEDOMS[3].index(name)] / (arm if turns and arm else 1.0)
             label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
             force = float(load @ direction)
             result.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
@@ -164,13 +164,13 @@ class Obstacles:
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
         with errors_on_all_ranks(self._V.mesh.comm):
             return [
-                np.zeros((0, 4)) if obstacle is None else np.column_stack(obstacle.at(x[on.nodes]))
-                for obstacle, on in zip(self._obstacles, jump.pairs, strict=True)
+                np.column_stack(obstacle.at(x[operators.nodes])) if obstacle else np.zeros((0, 4))
+                for obstacle, operators in zip(self._obstacles, jump.pairs, strict=True)
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
         """Return (pairs,) whether distances or normals differ from the pairing. Collective."""
-        limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of the distance, the normal
+        limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of distance and normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
             for before, after in zip(self._at_pairing, self._distances(jump), strict=True)
@@ -204,9 +204,9 @@ class Obstacles:
         points = self._V.tabulate_dof_coordinates().T.copy()
         points[:dim] += u.x.array.reshape(-1, dim).T
         material = RigidMotion.from_matrix(after).reversed_from(points)
-        moved = points - RigidMotion.from_matrix(before).applied_to(material)
+        displacement = points - RigidMotion.from_matrix(before).applied_to(material)
         result = fem.Function(self._V)
-        result.x.array[:] = moved[:dim].T.ravel()
+        result.x.array[:] = displacement[:dim].T.ravel()
         return result
 
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
@@ -216,8 +216,8 @@ class Obstacles:
         for pair, start, end, own in zip(self._pairs, before, after, jump.own_rows, strict=True):
             if not np.array_equal(start, end):
                 u = state.configuration if pair.sliding == "finite" else state.geometry
-                moved = self._displacement(start, end, u)
-                largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
+                displacement = self._displacement(start, end, u)
+                largest = max(largest, float(np.abs(displacement.x.array).max(initial=0.0)))
                 rows = np.append(own.normal, own.tangential)
-                jumps[rows] = jump.of_displacement(moved)[rows]
+                jumps[rows] = jump.of_displacement(displacement)[rows]
         return jumps, largest

@@ -8,9 +8,9 @@ the inner product of both.
 
 `DataOfSolution` is the one place that knows what depends on controls: forms, Dirichlet conditions,
 gaps, terms and curves of friction laws (`nodal_fields`), and the rows of B, which rigid obstacles
-change (`moved_rows`). Its two methods are transposed to each other: `change` is for tangents, and
-for gradients with respect to Constants, which have few values; `pulled_back` is for gradients with
-respect to Functions.
+change (`jump_differences`). Its two methods are transposed to each other: `change` is for tangents,
+and for gradients with respect to Constants, which have few values; `pulled_back` is for gradients
+with respect to Functions.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from dolfinx_tresca._base.functions import owned_size
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.load_steps import Carry, moved_jump
+from dolfinx_tresca.dual.load_steps import Carry, displaced_jump
 from dolfinx_tresca.dual.nodal_values import DIFFERENCE, inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
@@ -86,6 +86,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     result: list[NodalField] = []
     for pair, rows in zip(pairs, jump.own_rows, strict=True):
         operators, disc, node = rows.operators, rows.nodes, np.arange(len(rows.nodes))
+        # entries of `effect`, with their rows and columns
         by_gap = 1.0 / jump.length_scale[rows.normal], (rows.normal, operators.normal_node)
         fields: list[Any] = [(pair.gap, f"the gap of contact pair {pair}", by_gap)]
         for term, words in TERMS.items():
@@ -102,7 +103,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
 
 
 @dataclass(frozen=True)
-class MovedRows:
+class JumpDifferences:
     """Central differences of B in a direction of a Constant that moves obstacles.
 
     Gaps, normals and tangents at the nodes depend on the position of an obstacle. Their central
@@ -111,7 +112,7 @@ class MovedRows:
     Attributes:
         sides: B with the obstacles displaced forwards and backwards.
         jumps: (size,) B u with both operators.
-        step: size of the displacement, as a factor of the direction.
+        step: distance of each side from the present position, as a factor of the direction.
         origin: (size,) the slip origin that keeps its vector at each node, in components along the
             tangents of the solution.
     """
@@ -127,13 +128,13 @@ class MovedRows:
         return (after - before) / (2.0 * self.step)
 
 
-def moved_rows(
+def jump_differences(
     system: ContactSystem,
     contact: LinearisedContact,
     constant: fem.Constant,
     direction: Array,
     in_all_steps: bool,
-) -> MovedRows | None:
+) -> JumpDifferences | None:
     """Return the central differences of B in a direction of a Constant. Collective.
 
     The direction has the shape of the Constant's value. Unless the Constant changes `in_all_steps`
@@ -153,9 +154,10 @@ def moved_rows(
     origin: Array = np.zeros(len(jump.gap))
     if not in_all_steps:
         solved = system.solution_for("a derivative")
-        origin, moves_in_step = solved.dual.history.origin, moves & solved.moved
-        for pair, moved, rows in zip(system.pairs, moves_in_step, jump.own_rows, strict=True):
-            if moved and system.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
+        origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
+        for pair, moves_in_step, rows in zip(system.pairs, in_step, jump.own_rows, strict=True):
+            slips = moves_in_step and bool(origin[rows.tangential].any())
+            if system.comm.allreduce(slips, op=MPI.LOR):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."
@@ -165,7 +167,7 @@ def moved_rows(
     sides = []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
-            displaced = moved_jump(jump, system.pairs, system.state.geometry, moves)
+            displaced = displaced_jump(jump, system.pairs, system.state.geometry, moves)
         sides.append(displaced.along_axes(contact.bounds))
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
@@ -180,7 +182,7 @@ def moved_rows(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
             "no derivative with respect to its place. Compare two solutions."
         )
-    return MovedRows(sides, [side.of_displacement(contact.u) for side in sides], step, origin)
+    return JumpDifferences(sides, [side.of_displacement(contact.u) for side in sides], step, origin)
 
 
 class DataVector(NamedTuple):
@@ -192,12 +194,12 @@ class DataVector(NamedTuple):
             values.
         laws: (size + n_discs,) change of (d; s), divided by `JumpOperator.length_scale`, and of the
             radii of the discs; or y, and derivatives by the radii.
-        moved: central differences of B, in a change of the data for which obstacles move.
+        jump_differences: central differences of B, if the change of the data moves obstacles.
     """
 
     load: Array
     laws: Array
-    moved: Sequence[MovedRows] = ()
+    jump_differences: Sequence[JumpDifferences] = ()
 
 
 class DataOfSolution:
@@ -212,7 +214,7 @@ class DataOfSolution:
         """Keep what data depend on. Collective.
 
         The `residual` is internal minus external forces at u, a form of rank 1; `linearise` gives u
-        the values of a solution. `moved_rows` explains `in_all_steps`.
+        the values of a solution. `jump_differences` explains `in_all_steps`.
         """
         self.system, self.u, self.comm = system, u, system.comm
         self._residual, self._in_all_steps = residual, in_all_steps
@@ -280,9 +282,9 @@ class DataOfSolution:
         jump, x = contact.dual.jump, contact.multipliers
         forces, values = np.zeros((2, len(prescribed)))
         laws = np.zeros(len(x) + len(contact.face.discs.radius))
-        moved: list[MovedRows] = []
+        differences: list[JumpDifferences] = []
 
-        def of_moved(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
+        def laws_on(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
             """Return the offsets and the radii with the rows of another B."""
             radius = side.bounded(contact.bounds).section(x).radius
             offset = side.gap - jump_of_u + Carry(jump, side).jumps(origin)
@@ -299,12 +301,12 @@ class DataOfSolution:
                     laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
-            rows = moved_rows(self.system, contact, control, direction, self._in_all_steps)
-            if rows is not None:
-                moved.append(rows)
-                forces -= rows.rate(lambda side, _: np.array(side.whole_force(x).array))
-                laws += rows.rate(partial(of_moved, origin=rows.origin))
-        return DataVector(np.where(prescribed, values, forces), laws, moved)
+            sides = jump_differences(self.system, contact, control, direction, self._in_all_steps)
+            if sides is not None:
+                differences.append(sides)
+                forces -= sides.rate(lambda side, _: np.array(side.whole_force(x).array))
+                laws += sides.rate(partial(laws_on, origin=sides.origin))
+        return DataVector(np.where(prescribed, values, forces), laws, differences)
 
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
         """Return the derivatives of a goal by the values of a Function that this rank owns.

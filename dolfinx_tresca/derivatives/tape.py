@@ -43,7 +43,7 @@ class _Recorded:
     """
 
     contact: LinearisedContact
-    moved: bool
+    obstacle_moves: bool
     values: Sequence[Array]
     curves: Sequence[CurveAtNodes]
     laws: Sequence[Array]
@@ -137,7 +137,9 @@ class ProcessTape:
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
         self._steps.append(
-            _Recorded(solution, bool(step.moved.any()), values, step.curves, step.inputs[1:])
+            _Recorded(
+                solution, bool(step.obstacle_moves.any()), values, step.curves, step.inputs[1:]
+            )
         )
 
     @collective(comm_of_self)
@@ -233,8 +235,8 @@ class ProcessTape:
                 "before they are moved, or move them back."
             )
         slips = bool(steps) and bool(steps[0].contact.dual.history.origin.any())
-        moved = any(step.moved for step in steps)
-        unknown = contact.comm.allreduce(slips or moved, op=MPI.LOR)
+        obstacle_moves = any(step.obstacle_moves for step in steps)
+        unknown = contact.comm.allreduce(slips or obstacle_moves, op=MPI.LOR)
         for control in controls:
             if unknown and contact.obstacles.rates(control, None, contact.jump).any():
                 raise InputError(

@@ -24,14 +24,14 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, su
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import ScalarField, VectorField, expression_of
 
-#: Step of central differences, relative to the size of a Constant, or to the extent of the mesh if
-#: an obstacle moves. The truncation error is about the square of the step, the rounding error about
-#: the rounding of one value divided by the step.
+#: Step of central differences, relative to the magnitude of a Constant, or to the mesh's extent if an
+#: obstacle moves. The truncation error is about the square of the step, the rounding error about the
+#: rounding of one value divided by the step.
 DIFFERENCE = 1e-5
 
-#: Sizes of a control that are tried in turn if its own size gives no useful difference: it may be
+#: Magnitudes of a control that are tried in turn if its own gives no useful difference: it may be
 #: zero, or a rounding error.
-SIZES = (1.0, 1e-3, 1e-6, 1e-9)
+MAGNITUDES = (1.0, 1e-3, 1e-6, 1e-9)
 
 #: Least and largest change of values, relative to the largest value, with which a difference is
 #: taken at once. With smaller changes rounding errors exceed 1e-4; larger ones are not small.
@@ -87,9 +87,9 @@ def central_differences(
     """
     given = values_of(control).copy()
     result: Array | None = None
-    for size in (*largest_sizes(comm, given), *SIZES):
+    for magnitude in (*largest_sizes(comm, given), *MAGNITUDES):
         ends = []
-        for end in (DIFFERENCE * size, -DIFFERENCE * size):
+        for end in (DIFFERENCE * magnitude, -DIFFERENCE * magnitude):
             for direction in directions:
                 with replaced([control], [given + end * direction]):
                     ends.append(values())
@@ -97,7 +97,7 @@ def central_differences(
         change, *largest = largest_sizes(comm, high - low, high, low)
         is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
         if change > 0.0 and (is_useful or result is None):
-            result = np.asarray((high - low) / (2.0 * DIFFERENCE * size))
+            result = np.asarray((high - low) / (2.0 * DIFFERENCE * magnitude))
             if is_useful:
                 break
     if result is not None and isinstance(control, fem.Function):

@@ -50,7 +50,7 @@ LOAD_ACCURACY = 1e-6
 
 #: Largest length or force that is accepted: its square, times a stiffness or area of up to 1e28, is
 #: less than the largest number of double precision, 1.8e308.
-LARGEST_SIZE = 1e140
+LARGEST_ENTRY = 1e140
 
 
 class DualProgram:
@@ -152,11 +152,11 @@ class DualProgram:
         """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
         force = self._load.norm(PETSc.NormType.INFINITY)
         (largest,) = largest_sizes(self.jump.comm, self.b)
-        least = 1.0 / LARGEST_SIZE
-        for name, size in (("load", force), ("displacement it causes", largest)):
-            if size > LARGEST_SIZE or (largest < least and 0.0 < size < least):
+        least = 1.0 / LARGEST_ENTRY
+        for name, entry in (("load", force), ("displacement it causes", largest)):
+            if entry > LARGEST_ENTRY or (largest < least and 0.0 < entry < least):
                 raise InputError(
-                    f"the {name} has entries up to {size:.1e}: squares of such numbers cannot be "
+                    f"the {name} has entries up to {entry:.1e}: squares of such numbers cannot be "
                     "computed. Choose units in which they are nearer to 1."
                 )
 
@@ -199,7 +199,7 @@ class DualProgram:
         """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
         return self.offset - self.jump.of_unknowns(u)
 
-    def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
+    def compute_displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
         The next solve starts from the result. A displacement with which the convergence of the
@@ -308,8 +308,8 @@ class DualProgram:
         and the largest traction [stress].
         """
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
-        sizes = [self._largest_stress(multipliers) for multipliers in (change, x)]
-        largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
+        stresses = [self._largest_stress(multipliers) for multipliers in (change, x)]
+        largest, traction = reduce_array(self.jump.comm, stresses, MPI.MAX)
         return float(largest), float(traction)
 
     def _largest_stress(self, x: Array) -> float:

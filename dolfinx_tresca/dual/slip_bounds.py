@@ -58,6 +58,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -
     circular = shape[:, 0] == shape[:, 1]
     axes = _axes(V, pair, np.where(circular[:, None], 0.0, bounds.direction), circular)
     node = pair.tangent_node
+    # the two rows of each node with two tangents and an ellipse
     second = np.flatnonzero(node[1:] == node[:-1]) + 1
     second = second[~circular[node[second]]]
     rows = np.stack([second - 1, second], axis=1)
@@ -207,8 +208,8 @@ class SlipBounds:
     ) -> NodalBounds:
         """Return the present bound at nodes of this rank; 0 without friction. Collective.
 
-        Negative values of at most the size `stress_rounding` [stress] also count as zero, even if
-        they exceed `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
+        Negative values down to -`stress_rounding` [stress] also count as zero, even if they exceed
+        `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is
@@ -273,9 +274,9 @@ class SlipBounds:
         values = self.values.scalars_at(field, nodes, name)
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
-        zero = -max(relative, rounding)
+        least = -max(relative, rounding)
         with errors_on_all_ranks(self._comm):
-            bad = ~(values >= zero)
+            bad = ~(values >= least)
             if bad.any():
                 fault = "NaN" if np.isnan(values[bad][0]) else "negative"
                 raise InputError(

@@ -79,17 +79,18 @@ class RigidBodyModes:
         than `NAMED_PART` of the largest motion. The components are (k,), or (k, columns) for
         several motions.
         """
-        moved = self.mode_components @ components.reshape(len(self), -1)
-        moved = moved.reshape(self.bodies.count, -1, moved.shape[1])
-        lengths = np.linalg.norm(moved, axis=(1, 2))
+        motions = self.mode_components @ components.reshape(len(self), -1)
+        # (bodies, 3 or 6, columns): translations and rotations of each body
+        motions = motions.reshape(self.bodies.count, -1, motions.shape[1])
+        lengths = np.linalg.norm(motions, axis=(1, 2))
         moving = np.flatnonzero(lengths > NAMED_PART * lengths.max())
         # with half the fraction, a body may be described that turns little while another one falls
         chosen = int(np.argmax(lengths > 0.9 * lengths.max()))
-        axes, sizes, _ = np.linalg.svd(moved[chosen], full_matrices=False)
-        share = np.square(axes[:, sizes > 1e-3 * sizes[0]]).sum(axis=1)
+        axes, extents, _ = np.linalg.svd(motions[chosen], full_matrices=False)
+        shares = np.square(axes[:, extents > 1e-3 * extents[0]]).sum(axis=1)
         turns = ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
         names = (*(f"translation along {axis}" for axis in "xyz"[: self.dim]), *turns)
-        free = [name for name, size in zip(names, share, strict=True) if size > NAMED_PART]
+        free = [name for name, share in zip(names, shares, strict=True) if share > NAMED_PART]
         text = self.bodies.describe(chosen, moving[moving != chosen].tolist())
         # ranks may differ by rounding
         return str(self.comm.bcast(f"{text}: {', '.join(free)}"))
@@ -120,10 +121,10 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))
     free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
     gram = sums.sparse_inner(free, free)
-    body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.count))
+    body, resistance, components = comm.bcast(_stationary_motions(gram, energy, bodies.count))
 
     # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
-    stiffness = largest / bodies.nodes ** (2.0 / dim)
+    stiffness = largest / bodies.node_counts ** (2.0 / dim)
     # rounding: the product with K adds some hundred entries of each row, which cancel each other
     nothing = 8.0 * ROUNDING * largest
     held = reduce_array(comm, np.bincount(label, prescribed, minlength=bodies.count)) > 0.0
@@ -158,13 +159,15 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
         stiffness = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
         count = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
         raise indefinite_error(
-            f"the stiffness is {stiffness} at {count} of {bodies.nodes[body]} nodes of "
+            f"the stiffness is {stiffness} at {count} of {bodies.node_counts[body]} nodes of "
             f"{bodies.describe(body)}"
         )
     return np.where(largest > 0.0, largest, 1.0)
 
 
-def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices, Array, csr_array]:
+def _stationary_motions(
+    gram: csr_array, energy: csr_array, count: int
+) -> tuple[Indices, Array, csr_array]:
     """Return the rigid motions of each body against which the stiffness of K is stationary.
 
     The matrix `gram` (m, m) has the inner products of the rigid body modes R on free degrees of
@@ -257,21 +260,21 @@ class FixingSprings:
             return modes.basis, csr_array((k, k))
         # forces of equal size on all bodies, since the accuracy is relative to the whole answer
         forces = product(K, modes.basis)
-        sizes = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
-        sizes[sizes == 0.0] = 1.0
+        norms = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
+        norms[norms == 0.0] = 1.0
         # K couples no two bodies, so that one solve serves one soft mode of every body
         soft, body, n = ~modes.floats, modes.body, forces.shape[0]
-        place = np.searchsorted(body, body, side="right") - np.arange(k)
+        number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
         label = np.repeat(modes.bodies.label, modes.dim)
         moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
         force, answer = K.createVecLeft(), K.createVecRight()
         V = csr_array(modes.basis.shape)
-        for number in np.unique(place[soft]):
-            chosen = np.where(soft & (place == number), 1.0, 0.0)
-            force.array = forces @ (chosen / sizes)
+        for number in np.unique(number_on_body[soft]):
+            chosen = np.where(soft & (number_on_body == number), 1.0, 0.0)
+            force.array = forces @ (chosen / norms)
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
-            V = V + diags_array(answer.array) @ moves @ diags_array(chosen * sizes)
+            V = V + diags_array(answer.array) @ moves @ diags_array(chosen * norms)
         # the stiffness as R'ZZ'V, where V = R - U, since the equal R'KR - (KR)'V would be a small
         # difference of large terms; Z'R is the square root of `RigidBodyModes.stiffness`
         springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))

@@ -97,7 +97,7 @@ class ProblemSummary:
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
         free_dofs, contact_nodes = int(counts[0]), int(counts[1])
         kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
-        count = system.saddle_size
+        count = system.negative_pivots
         beside = f", beside {count} unknowns of other kinds" if count else ""
         size_rows = (
             ("mesh", f"{cells} cells ({kind}), MPI ranks: {comm.size}"),

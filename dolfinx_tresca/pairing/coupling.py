@@ -186,7 +186,7 @@ def couple(
     integrals: FacetIntegrals,
     carries: Mask,
     shared: Mask,
-    moved: bool,
+    displaced: bool,
 ) -> PairOperators:
     """Find the jumps at secondary nodes by integrals over facets that face the other side.
 
@@ -196,8 +196,8 @@ def couple(
     nodes of all pairs of the group. Collective.
 
     `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
-    and `shared` (n,) are as in `corners_that_carry`. If the surfaces have moved, penetration is an
-    error of the displacement, and no close fit is warned of.
+    and `shared` (n,) are as in `corners_that_carry`. If the surfaces are `displaced`, penetration
+    is an error of the displacement, and no close fit is warned of.
     """
     group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
     pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
@@ -231,16 +231,16 @@ def couple(
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
 
-    sizes = np.einsum("nij,njk->ni", sums[facet], integrals.partner)
+    areas = np.einsum("nij,njk->ni", sums[facet], integrals.partner)  # of overlaps, by corners
     column = partner if primary is None else primary.tag_index[partner]
     member = group.pair_of_tags[facets.tag_index[facet], column]
     shares: Array = np.zeros((count, len(group.pairs)))
-    np.add.at(shares, (corners[facet], member[:, None]), sizes)
+    np.add.at(shares, (corners[facet], member[:, None]), areas)
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
-    if not moved and primary is not None:
+    if not displaced and primary is not None:
         # Functions of the dual basis are negative in part: a mean may be less than all distances
-        # around the node. (The gap of moved surfaces must change as N says, or the positions of
+        # around the node. (The gap of displaced surfaces must change as N says, or the positions of
         # finite sliding do not converge.)
         least = nodes.reduced(np.minimum, integrals.least[:, None], np.inf)
         gap[:] = np.maximum(gap, least)

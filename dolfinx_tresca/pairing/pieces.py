@@ -117,7 +117,7 @@ class Pieces:
     def _trees(self) -> list[tuple[Indices, Any]]:
         """The pieces of each size, between two powers of two, and a tree of their centres."""
         _, exponent = np.frexp(self.radii)
-        classes = [np.flatnonzero(exponent == size) for size in np.unique(exponent)]
+        classes = [np.flatnonzero(exponent == power) for power in np.unique(exponent)]
         return [(members, cKDTree(self.centres[members])) for members in classes]
 
     def on_normals(

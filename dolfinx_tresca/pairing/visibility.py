@@ -124,7 +124,8 @@ class Visibility:
         line, facet = line[keep], facet[keep]
         corners = pieces.local_coordinates(targets[line], side.points[facet])
         normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
-        # all pairs of a facet and a point of the piece in front of it
+        # all pairs of a facet and a point of the piece in front of it; the points of the piece
+        # `targets[k]` are the `counts[k]` numbers from `starts[k]` on
         pairs = np.cumsum(counts[line])
         blocks = np.flatnonzero(np.diff(pairs // (50 * AT_ONCE))) + 1
         for block in np.split(np.arange(len(line)), blocks):
@@ -199,15 +200,15 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
 
     Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
     the order of the corners: (n, a, d) and (n, b, d) of segments (d = 1) or convex polygons (d =
-    2). Return the simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their
+    2). Return the simplices (m, d + 1, d), their areas (m,) [length^d], and the index (m,) of their
     pair, ascending.
     """
     low = np.maximum(own.min(axis=1), partners.min(axis=1))
     high = np.minimum(own.max(axis=1), partners.max(axis=1))
     if own.shape[2] == 1:
-        size = (high - low)[:, 0]
-        pair = np.flatnonzero(size > 0.0)
-        return np.stack([low, high], axis=1)[pair], size[pair], pair
+        length = (high - low)[:, 0]
+        pair = np.flatnonzero(length > 0.0)
+        return np.stack([low, high], axis=1)[pair], length[pair], pair
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
     windows, polygons = own[near], partners[near]
     clockwise = _cross(windows, np.roll(windows, -1, axis=1)).sum(axis=1) < 0.0
@@ -262,7 +263,7 @@ def weights_of_nearest(
     piece: Indices,
     pair: Indices,
     simplices: Array,
-    size: Array,
+    area: Array,
     places: Array,
     gap: Array,
     weight: Array,
@@ -277,19 +278,19 @@ def weights_of_nearest(
         piece: (pairs,) the secondary piece of each pair, ascending.
         pair: (simplices,) the pair of each simplex, ascending.
         simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
-        size: (simplices,) sizes of the simplices [length^d].
+        area: (simplices,) areas of the simplices [length^d].
         places: (points, d) quadrature points in the plane of the secondary piece [length].
         gap: (points,) gap along the normal [length], positive if open.
         weight: (points,) quadrature weights, 0 for points that are already excluded.
-        piece_area: (pieces,) sizes of all secondary pieces [length^d].
+        piece_area: (pieces,) areas of all secondary pieces [length^d].
     """
     if len(pair) == 0:
         return weight
     count = len(places) // len(pair)
-    counts = weight.reshape(-1, count).any(axis=1)
-    covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
+    has_weight = weight.reshape(-1, count).any(axis=1)
+    covered = np.bincount(piece[pair], area * has_weight, minlength=len(piece_area))
     overlaid = (covered > (1.0 + MISMATCH) * piece_area)[piece[pair]]
-    crowded = np.flatnonzero(overlaid & counts)
+    crowded = np.flatnonzero(overlaid & has_weight)
     if len(crowded) == 0:
         return weight
     inner = places.reshape(-1, count, places.shape[1])[crowded].reshape(-1, places.shape[1])
@@ -317,8 +318,8 @@ def weights_of_nearest(
 class SelfContact:
     """Data that decide which facet of a surface that touches itself is the secondary one.
 
-    They are the columns of `Facets.origins`, with the centre and normal in the undeformed mesh; and
-    the corners (n, corners), the `place` (n, 3) of the centre and the `present_normal` (n, 3) now.
+    They are the columns of `Facets.origins`, with the centre and normal in the undeformed mesh; the
+    nodes at the corners (n, corners); and the `present_centre` (n, 3) and `present_normal` (n, 3).
     """
 
     def __init__(self, facets: Facets) -> None:

@@ -205,13 +205,13 @@ class ExactSurface(NamedTuple):
     """The surface that the facets with a tag approximate.
 
     Attributes:
-        pieces: the projection onto each smooth piece of the surface.
+        projections: the projection onto each smooth piece of the surface.
         project: projection of nodes onto the whole surface; nodes of an edge are projected onto the
             edge, so that a flat surface on its other side stays flat. Raises InputError if too few
             nodes are on the surface before they are moved.
     """
 
-    pieces: Sequence[Projection]
+    projections: Sequence[Projection]
     project: Projection
 
 
@@ -328,7 +328,7 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
         step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - locate(parameters))[:, :, None]
         previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
-        moved = np.einsum("ni,nik->nk", parameters - previous, tangents)
-        if np.abs(moved).max(initial=0.0) <= rounding:
+        shifts = np.einsum("ni,nik->nk", parameters - previous, tangents)
+        if np.abs(shifts).max(initial=0.0) <= rounding:
             break
     return locate(parameters).T

@@ -134,7 +134,7 @@ def evaluate(
     section = dual.section_at(solution.multipliers, solution.gradient)
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
-    error = dual.end_at(solution.multipliers, solved, solution.displacement_tolerance)
+    error = dual.compute_displacement(solution.multipliers, solved, solution.displacement_tolerance)
     stress, c = solution.multipliers * B.stress_scale, solution.c
     r, missing = dual.in_equilibrium(solution.multipliers, solved, c)
     in_frames.x.scatter_forward()

@@ -104,10 +104,10 @@ class EqualityConstraints:
 
     def softness_with(self, added: float) -> csr_array:
         """Return S + s (I - V V'), with the `soft_directions` V and a number s >= 0: (k, k)."""
-        return csr_array(self.softness + added * self._exact_directions) if added else self.softness
+        return csr_array(self.softness + added * self._exact_projector) if added else self.softness
 
     @cached_property
-    def _exact_directions(self) -> csr_array:
+    def _exact_projector(self) -> csr_array:
         """The projector I - V V' onto the directions of equations that are not soft."""
         vectors = self.soft_directions[1]
         return csr_array(eye_array(len(self)) - vectors @ vectors.T)
@@ -124,7 +124,7 @@ class EqualityConstraints:
         if len(self) == 0:
             return 0.0
         missing, loads = self.residual(x, c), self.along_absolute(np.abs(x)) + self.sizes
-        exact = self._exact_directions @ missing
+        exact = self._exact_projector @ missing
         soft_terms = loads + abs(self.softness) @ np.abs(c)
         ratios = (
             float(np.linalg.norm(residual)) / max(float(np.linalg.norm(terms)), LEAST_DIVISOR)
@@ -242,15 +242,15 @@ def balance(
         gradient = excess(z)
         # two rounding errors of the residual: from summing it, and from G z
         p = feasible_set.project(y + G @ z)
-        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
-        terms, of_sum = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
-        small = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + sizes))
-        cancelled = agreed(np.finfo(float).eps * of_sum)
+        shifted = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
+        terms, of_shift = constraints.along_absolute(np.column_stack([np.abs(p), shifted])).T
+        rounding = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + sizes))
+        of_shift = agreed(np.finfo(float).eps * of_shift)
         # once `unbounded` is proven, one more step makes the direction of z more accurate
-        if unbounded or ROUNDING * cancelled.max() > LOST * small.max():
+        if unbounded or ROUNDING * of_shift.max() > LOST * rounding.max():
             break
-        if (np.abs(gradient) <= small + cancelled).all():
-            return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
+        if (np.abs(gradient) <= rounding + of_shift).all():
+            return Balance(z, gradient, bool((np.abs(gradient) <= rounding).all()))
         unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
         hessian = inner(G, feasible_set.projection_derivative(y + G @ z) @ G) + C
         step = -agreed(

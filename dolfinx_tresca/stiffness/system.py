@@ -246,8 +246,8 @@ class LinearSystem(PetscOwner):
         return np.asarray(owned_values(self.component.extract(flags)).ravel() > 0.0)
 
     @property
-    def saddle_size(self) -> int:
-        """Number of free unknowns that are not displacements, on all ranks. Collective."""
+    def negative_pivots(self) -> int:
+        """Number of free unknowns of all ranks that are no displacements: see `cholesky`."""
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
