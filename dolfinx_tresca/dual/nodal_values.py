@@ -24,8 +24,8 @@ from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, su
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import ScalarField, VectorField, expression_of
 
-#: Step of central differences, relative to the magnitude of a Constant, or to the mesh's extent if an
-#: obstacle moves. The truncation error is about the square of the step, the rounding error about the
+#: Step of central differences, relative to the magnitude of a Constant, or to the mesh's extent
+#: where an obstacle moves. The truncation error is about its square, the rounding error about the
 #: rounding of one value divided by the step.
 DIFFERENCE = 1e-5
 
