@@ -147,7 +147,7 @@ class ContactSystem(PetscOwner):
         gaps = []
         for pair, operators in zip(self.pairs, self.jump.pairs, strict=True):
             gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
-            gaps.append(self.friction.values.scalars_at(gap, operators.nodes, name))
+            gaps.append(self.friction.values.values_at(gap, operators.nodes, name)[:, 0])
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
             gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
@@ -220,7 +220,7 @@ class ContactSystem(PetscOwner):
         Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
         stands for the present one. After a `PairingError` the surfaces stay as they were.
         """
-        state, obstacle_moves, finite = self.state, self.record_motions(), self._finite_sliding
+        state, moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
         try:
@@ -229,8 +229,7 @@ class ContactSystem(PetscOwner):
                 (state.configuration, configuration, finite),
             ):
                 differs = not (u is before or np.array_equal(u.x.array, before.x.array))
-                differs = self.comm.allreduce(differs, op=MPI.LOR)
-                self._pair_anew(u, pairs & (obstacle_moves | differs))
+                self._pair_anew(u, pairs & (moves | self.comm.allreduce(differs, op=MPI.LOR)))
         except PairingError:
             self.return_to(state)
             raise

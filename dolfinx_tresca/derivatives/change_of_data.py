@@ -155,9 +155,8 @@ def jump_differences(
     if not in_all_steps:
         solved = system.solution_for("a derivative")
         origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
-        for pair, moves_in_step, rows in zip(system.pairs, in_step, jump.own_rows, strict=True):
-            slips = moves_in_step and bool(origin[rows.tangential].any())
-            if system.comm.allreduce(slips, op=MPI.LOR):
+        for pair, moving, rows in zip(system.pairs, in_step, jump.own_rows, strict=True):
+            if moving and system.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."

@@ -136,11 +136,8 @@ class ProcessTape:
             former if former is not None and np.array_equal(former, present) else present.copy()
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
-        self._steps.append(
-            _Recorded(
-                solution, bool(step.obstacle_moves.any()), values, step.curves, step.inputs[1:]
-            )
-        )
+        moves = bool(step.obstacle_moves.any())
+        self._steps.append(_Recorded(solution, moves, values, step.curves, step.inputs[1:]))
 
     @collective(comm_of_self)
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:

@@ -61,8 +61,7 @@ def displaced_jump(
         for k, (new, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
                 if straight_u is not values:
-                    bent = _bent_primary(V, straight_u, values, pair, new)
-                    paired_at.x.array[:] = bent.ravel()
+                    paired_at.x.array[:] = _bent_primary(V, straight_u, values, pair, new).ravel()
                     closings = jump.closings(paired_at)
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
                 distance = new.distance + new.secondary_sagitta - raised + closings[k]

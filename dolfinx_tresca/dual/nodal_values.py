@@ -116,12 +116,8 @@ class NodalValues:
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
 
-    def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present values (n,) of a scalar, see `values_at`. Collective."""
-        return self.values_at(field, nodes, name, 1)[:, 0]
-
     def values_at(
-        self, field: ScalarField | VectorField, nodes: LocalNumbers, name: str, components: int
+        self, field: ScalarField | VectorField, nodes: LocalNumbers, name: str, components: int = 1
     ) -> Array:
         """Return the present values (n, 1 or 3) of a scalar or vector at nodes. Collective.
 

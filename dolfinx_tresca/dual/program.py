@@ -287,30 +287,21 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return `local_change` divided by the largest traction; 0 for rounding. Collective.
+        """Return `local_change` relative to the largest traction; 0 for rounding. Collective."""
+        return relative_change(*self.local_change(x, r))
 
-        If springs alone carry the loads, the exact tractions are zero. The computed tractions and
-        their changes are then rounding errors of the jumps, and their ratio means nothing.
-        """
-        change, traction = self.local_change(x, r)
-        offset = self.offset
-        stresses = self._largest_stress(
-            self.compliance.nodal_stiffness * (np.abs(offset) + np.abs(offset - r))
-        )
-        if change <= ROUNDING * reduce_array(self.jump.comm, stresses, MPI.MAX):
-            return 0.0
-        return change / traction if traction > 0.0 else float(change > 0.0)
-
-    def local_change(self, x: Array, r: Array) -> tuple[float, float]:
+    def local_change(self, x: Array, r: Array) -> tuple[float, float, float]:
         """Return the largest change of tractions from x to the nodes' local minimisers. Collective.
 
-        The minimisers are the projection of `local_minimiser` onto Lambda. The result is the change
-        and the largest traction [stress].
+        The minimisers are the projection of `local_minimiser` onto Lambda. The result is the
+        change, the largest traction, and the largest rounding error of tractions [stress]. (If
+        springs alone carry the loads, tractions and changes are rounding errors of the jumps.)
         """
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
-        stresses = [self._largest_stress(multipliers) for multipliers in (change, x)]
-        largest, traction = reduce_array(self.jump.comm, stresses, MPI.MAX)
-        return float(largest), float(traction)
+        terms = self.compliance.nodal_stiffness * (np.abs(self.offset) + np.abs(self.offset - r))
+        stresses = [self._largest_stress(values) for values in (change, x, terms)]
+        largest, traction, rounding = reduce_array(self.jump.comm, stresses, MPI.MAX)
+        return float(largest), float(traction), ROUNDING * float(rounding)
 
     def _largest_stress(self, x: Array) -> float:
         """Return the largest pressure or traction of this rank's multipliers. Not collective."""
@@ -379,3 +370,10 @@ class DualProgram:
         energy = 0.5 * elastic - work
         dual = energy - float(self.inner(x, r)) - 0.5 * error**2
         return energy + float(friction), dual
+
+
+def relative_change(change: float, value: float, rounding: float = 0.0) -> float:
+    """Return change / value, 0 for a change that is rounding, or 1 for a change of zero."""
+    if change <= rounding:
+        return 0.0
+    return change / value if value > 0.0 else 1.0

@@ -189,7 +189,7 @@ class SlipBounds:
         for scalars in _named_scalars(friction).values():
             for field, words in scalars:
                 if real(field) is None:
-                    self.values.scalars_at(field, nodes, words)
+                    self.values.values_at(field, nodes, words)
                 else:
                     self._bound(field, nodes, words, stress_rounding)
         if friction.terms.curve is not None:
@@ -271,7 +271,7 @@ class SlipBounds:
 
     def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
         """Return values at nodes of this rank; negative rounding errors become zero. Collective."""
-        values = self.values.scalars_at(field, nodes, name)
+        values = self.values.values_at(field, nodes, name)[:, 0]
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
         least = -max(relative, rounding)

@@ -121,7 +121,7 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))
     free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
     gram = sums.sparse_inner(free, free)
-    body, resistance, components = comm.bcast(_stationary_motions(gram, energy, bodies.count))
+    body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.count))
 
     # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
     stiffness = largest / bodies.node_counts ** (2.0 / dim)
@@ -165,9 +165,7 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
     return np.where(largest > 0.0, largest, 1.0)
 
 
-def _stationary_motions(
-    gram: csr_array, energy: csr_array, count: int
-) -> tuple[Indices, Array, csr_array]:
+def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices, Array, csr_array]:
     """Return the rigid motions of each body against which the stiffness of K is stationary.
 
     The matrix `gram` (m, m) has the inner products of the rigid body modes R on free degrees of

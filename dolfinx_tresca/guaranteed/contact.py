@@ -79,7 +79,7 @@ class ContactSurface:
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
         gaps = every.distance
         if pair.gap is not None:
-            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self._facing, "the gap")
+            gaps = gaps + NodalValues(V).values_at(pair.gap, self._facing, "the gap")[:, 0]
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0

@@ -438,14 +438,11 @@ class FrictionCones(FeasibleSet):
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)
         zero, unit = np.zeros(len(nodes)), np.ones(len(nodes))
         F = np.where(grows, self.coefficient, zero)
-        hypotenuse, end = (
-            np.hypot(unit, F),
-            np.full_like(F, np.inf),
-        )  # pressure where the slope ends
+        hypot, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
         np.divide(self.limit, F, out=end, where=F > 0.0)
         origins = np.array([[zero, zero], [zero, self.radius], [end, self.radius + self.limit]])
-        directions = np.array([[zero, unit], [unit / hypotenuse, F / hypotenuse], [unit, zero]])
-        lengths = np.array([self.radius, end * hypotenuse, np.inf * unit])
+        directions = np.array([[zero, unit], [unit / hypot, F / hypot], [unit, zero]])
+        lengths = np.array([self.radius, end * hypot, np.inf * unit])
         with np.errstate(invalid="ignore"):  # edges at infinity
             along = np.clip(((given - origins) * directions).sum(axis=1), 0.0, lengths)
             feet = origins + along[:, None] * directions

@@ -264,7 +264,7 @@ class ModelNewton:
         A load step with bounds that depend on the pressure always begins at the start. There may be
         several fixed points, and a process continues with the nearest one. For example, friction
         keeps a wedge in place after the force that pushed it in is removed, although zero tractions
-        satisfy the law of friction as well. Return that of `find_constraint_multipliers` there.
+        satisfy the law of friction as well. Return the model's solution there, if known.
         """
         problem, constraints = self.problem, self.problem.constraints
         self.iterate = iterate = Iterate(problem)

@@ -300,23 +300,20 @@ SPARE_WORKSPACE = 200
 
 
 def cholesky(
-    K: PETSc.Mat,
-    petsc_options: Mapping[str, Any],
-    prefix: str | None,
-    negative_pivots: int | None = 0,
+    K: PETSc.Mat, options: Mapping[str, Any], prefix: str | None, negative_pivots: int | None = 0
 ) -> StiffnessSolver:
     """Return a solver with the factors of K, or of a saddle-point matrix. Collective.
 
     Args:
         K: the matrix, or (A, B'; B, -C).
-        petsc_options: PETSc options in addition to the defaults.
+        options: PETSc options in addition to the defaults.
         prefix: prefix of the user's options in PETSc's database; None: there is none.
         negative_pivots: number of unknowns other than displacements. With as many negative pivots,
             by Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C is zero, A on
             the vectors u with B u = 0. None: the number is not known; only a pivot that is zero is
             an error.
     """
-    options: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "ksp_type": "preonly",
         "pc_type": "cholesky",
         "pc_factor_mat_solver_type": "mumps",
@@ -330,11 +327,11 @@ def cholesky(
         "mat_mumps_icntl_14": SPARE_WORKSPACE,
     }
     if negative_pivots == 0:  # no pivoting: K is positive definite, or the check below fails
-        options["mat_mumps_cntl_1"] = 0.0
+        defaults["mat_mumps_cntl_1"] = 0.0
     else:  # L D L' with pivots of size 1 and 2, whose signs are counted
-        options["mat_mumps_icntl_13"] = 1  # no ScaLAPACK in the last front: it counts no signs
-        options["mat_mumps_icntl_24"] = 1  # detect zero pivots
-    solver = StiffnessSolver("cholesky", K, options, petsc_options, prefix)
+        defaults["mat_mumps_icntl_13"] = 1  # no ScaLAPACK in the last front: it counts no signs
+        defaults["mat_mumps_icntl_24"] = 1  # detect zero pivots
+    solver = StiffnessSolver("cholesky", K, defaults, options, prefix)
     with destroyed_on_error(solver):
         _check_pivots(K, solver.preconditioner, negative_pivots)
     return solver

@@ -210,17 +210,6 @@ class LinearSystem(PetscOwner):
         result.axpy(1.0, self.forces_of(u[self.prescribed]))
         return result
 
-    def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
-        """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
-
-        u has the prescribed values, whose effect the forces do not contain. The caller owns the
-        vector.
-        """
-        result = self.product(u.array)
-        result.aypx(-1.0, forces)
-        result.array[self.prescribed] = 0.0
-        return result
-
     @property
     def outdated(self) -> bool:
         """Whether coefficients of the form have changed since K was assembled. Collective."""
