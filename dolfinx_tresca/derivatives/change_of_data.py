@@ -141,10 +141,6 @@ def jump_differences(
     so far, it changes only after the last accepted step: the slip of the accepted steps stays the
     same vector at each node, whose components change with the tangents. The result is None if no
     obstacle moves along its normals.
-
-    Raises:
-        InputError: an obstacle moves in the load step of the last solve, or a node faces the
-            obstacle at only one of the two displaced positions of the obstacle.
     """
     obstacles, jump = system.obstacles, system.jump
     rates = obstacles.rates(constant, direction, jump)
@@ -253,9 +249,6 @@ class DataOfSolution:
         """Check a goal that is to be differentiated, and return it. Not collective.
 
         In forms, the displacement of the solution replaces the `u` of a nonlinear problem.
-
-        Raises:
-            InputError: the argument is neither a goal of this problem nor a form of rank 0.
         """
         if not isinstance(goal, ufl.Form):
             dim = self.u.function_space.mesh.geometry.dim

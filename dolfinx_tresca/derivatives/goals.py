@@ -65,9 +65,6 @@ def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Arr
 
     Since all goals are homogeneous of degree 1 in the jumps B u and the multipliers x, a goal is
     the sum of its derivatives times B u and x.
-
-    Raises:
-        InputError: the patch of the goal has no node of the pair.
     """
     rows = jump.by_pair[goal.pair]
     # rows n and t of B, and their nodes i and j in the pair
@@ -231,9 +228,6 @@ def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any
     """Check changes of controls, and return them: arrays for Constants, or Functions.
 
     Not collective.
-
-    Raises:
-        InputError: there is not one direction of the right type for each control.
     """
     result = list(directions) if isinstance(directions, Sequence) else [directions]
     if len(result) != len(controls):
@@ -277,11 +271,6 @@ def gradient(
     The result has for each control the derivatives with respect to its values (for a Function,
     those that this rank owns), and the derivatives (size,) with respect to the slip origin of this
     step.
-
-    Raises:
-        InputError: the patch of a goal has no node, or a form does not depend on u; or the
-            derivative with respect to a control is not known.
-        ConvergenceError: the adjoint has no solution.
     """
     contact, jump, u = data.contact, data.contact.dual.jump, data.contact.u
     discs, sticks, inner = contact.face.discs, contact.face.stick, contact.dual.inner

@@ -87,11 +87,7 @@ class LinearisedContact:
 
     @property
     def face(self) -> Face:
-        """The states of the nodes, with the projector P. Collective at the first access.
-
-        Raises:
-            InputError: a slip bound depends on the slip.
-        """
+        """The states of the nodes, with the projector P. Collective at the first access."""
         return self._states[0]
 
     @cached_property
@@ -117,9 +113,6 @@ class LinearisedContact:
         are kept for later solves. Collective. The force (owned degrees of freedom,) is df, in rows
         of prescribed values the change of these values. The offset (size,) is the change of (d; s),
         divided by `JumpOperator.length_scale`, and the radius (n_discs,) that of the discs.
-
-        Raises:
-            ConvergenceError: no tangent exists.
         """
         grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
         right = self.dual.jump.contact_force(grown).copy()
@@ -136,9 +129,6 @@ class LinearisedContact:
         module. Products with A are kept for later solves. The vector by_u (owned degrees of
         freedom,) is zero where u is prescribed. The relative error of y in the energy norm is at
         most the accuracy; None: `ACCURACY`.
-
-        Raises:
-            ConvergenceError: no adjoint exists.
         """
         right = self.dual.jump.contact_force(by_jump).copy()
         if by_u is not None:

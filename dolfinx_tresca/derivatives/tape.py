@@ -91,9 +91,6 @@ class ProcessTape:
             solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
                 an error that names the purpose.
             residual_at: function (u) -> internal minus external forces at the displacement u.
-
-        Raises:
-            InputError: `a` or `L` is no form of UFL.
         """
         self._contact, self._solved_for, self._residual_at = contact, solved_for, residual_at
         self.comm = contact.comm
@@ -109,12 +106,7 @@ class ProcessTape:
 
     @contextmanager
     def adding_step(self) -> Iterator[None]:
-        """Record the last solution if the block accepts it. Collective.
-
-        Raises:
-            ContactError: the solution has no derivative, or the slip history has changed since the
-                last recorded step.
-        """
+        """Record the last solution if the block accepts it. Collective."""
         contact = self._contact
         step = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")

@@ -81,9 +81,6 @@ def central_differences(
     No list of what a Python function reads is needed: the result is None if nothing changes. The
     `directions` are (k, number of values of the control), the values of this rank (n, ...), and the
     result (k, n, ...). Error messages call the values by the name.
-
-    Raises:
-        InputError: the values change, and the control is a Function.
     """
     given = values_of(control).copy()
     result: Array | None = None
@@ -157,10 +154,6 @@ class NodalValues:
         The weights (n,) are derivatives of a goal, from an adjoint solution. The result has a value
         for each degree of freedom that this rank owns; it is None if the field does not depend on
         the Function.
-
-        Raises:
-            InputError: the control is a Function with components, or on another mesh; or a Python
-                function reads it.
         """
         space, dofmap = control.function_space, control.function_space.dofmap
         slopes = self.slopes(field, control, ufl.TestFunction(space), nodes, name)

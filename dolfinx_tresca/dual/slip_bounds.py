@@ -48,9 +48,6 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -
     tangential direction keeps this direction, and its slip bound is the semi-diameter of the
     ellipse along this direction. A node whose ellipse is a circle keeps its tangents. If neither
     tangents nor semi-axes change on this rank, up to rounding, the result is `pair` itself.
-
-    Raises:
-        InputError: a direction is not finite, is zero, or is normal to the surface.
     """
     if bounds.direction is None:
         return pair
@@ -236,10 +233,6 @@ class SlipBounds:
         """Check a curve's values at pressures (n,) and slips (n,) of this rank. Collective.
 
         Values at zero pressure may be infinite: they are multiplied by the pressure.
-
-        Raises:
-            InputError: the function raises an error, or does not return a number or an array (n,);
-                or a value is negative, or NaN, or infinite under pressure.
         """
         name = TERMS["coefficient"]
         with errors_on_all_ranks(self._comm), np.errstate(all="ignore"):

@@ -105,10 +105,6 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     """Find rigid motions of bodies that supports and K resist little or not at all. Collective.
 
     K of the `LinearSystem` must be assembled.
-
-    Raises:
-        StiffnessError: K has zeros or negative numbers on the diagonal, or a negative stiffness
-            against a rigid motion; the error names the body and its position.
     """
     mesh, prescribed = system.V.mesh, system.prescribed_displacements
     comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
@@ -285,9 +281,6 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
     Not collective. In a mixed space softly held bodies get no springs, since the factorisation of K
     does not need positive pivots there.
-
-    Raises:
-        InputError: the space is mixed and a body floats.
     """
     if system.component is None or not modes:
         return FixingSprings(modes) if modes else None
