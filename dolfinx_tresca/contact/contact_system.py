@@ -26,6 +26,7 @@ from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError, PairingError
+from dolfinx_tresca.floating.equilibrium import Tools
 from dolfinx_tresca.floating.held_stiffness import HeldStiffness
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
@@ -85,8 +86,7 @@ class ContactSystem(PetscOwner):
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
         # the slip bound of a pair depends on the pressure, unless its coefficient is zero
-        coefficients = [real(pair.friction.terms.coefficient) for pair in pairs]
-        self._depends_on_start = any(coefficient != 0.0 for coefficient in coefficients)
+        self._depends_on_start = any(real(pair.friction.terms.coefficient) != 0.0 for pair in pairs)
         self.unknowns: fem.Function | None = None
         self.timings: dict[str, float] = {}
         V, prescribed = linear.V, linear.prescribed_displacements
@@ -447,16 +447,7 @@ class ContactSystem(PetscOwner):
             tools = self.obstacles.tools(jump, self.bodies, state.history.begun)
             if tools is not None and options.method != "projected_newton":
                 raise InputError("forces on obstacles and bolts need method='projected_newton'.")
-            try:
-                dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
-            except MechanismError as error:
-                motion = with_owned_values(self.linear.V, error.motion, "motion")
-                (greatest,) = largest_sizes(self.comm, np.linalg.norm(owned_values(motion), axis=1))
-                motion.x.array[:] /= greatest or 1.0  # zero where tools move
-                error.motion = motion
-                raise
-            if dual.equilibrium is not None:
-                self._check_no_slip_dependence()
+            dual = self._program(bounds, history, tools)
         with timed("iteration", timings):
             dual_solution = solve(dual, state.multipliers, options, observe)
         with timed("fields", timings):
@@ -516,12 +507,24 @@ class ContactSystem(PetscOwner):
         )
         return arguments
 
-    def _check_no_slip_dependence(self) -> None:
-        """Check for floating bodies that no coefficient of friction depends on the slip.
+    def _program(
+        self, bounds: Sequence[NodalBounds], history: SlipHistory, tools: Tools | None
+    ) -> DualProgram:
+        """Return the dual problem, if a solve can find its multipliers. Collective.
 
-        For a block held by viscous friction alone, the solver found no multipliers within minutes.
+        A `MechanismError` gets the motion as a Function. Of floating bodies, no coefficient of
+        friction may depend on the slip: for a block held by viscous friction alone, the solver
+        found no multipliers within minutes.
         """
-        for pair in self.pairs:
+        try:
+            dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
+        except MechanismError as error:
+            motion = with_owned_values(self.linear.V, error.motion, "motion")
+            (greatest,) = largest_sizes(self.comm, np.linalg.norm(owned_values(motion), axis=1))
+            motion.x.array[:] /= greatest or 1.0  # zero where tools move
+            error.motion = motion
+            raise
+        for pair in () if dual.equilibrium is None else self.pairs:
             curve = pair.friction.terms.curve
             if curve is not None and curve.depends_on_slip:
                 raise InputError(
@@ -529,6 +532,7 @@ class ContactSystem(PetscOwner):
                     "contact or soft springs hold a body, whose slip is not known in the "
                     "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
                 )
+        return dual
 
 
 def inputs_changed(purpose: str) -> ContactError:

@@ -442,8 +442,8 @@ def tangent_of(
     change = data.change(controls, directions)
     offset, radius = np.split(change.laws, [len(x)])
     pull = linear.forces_of(change.load[linear.prescribed]).array
-    force = change.load - np.where(linear.prescribed, 0.0, pull)
-    du, dx = contact.tangent(force, offset, radius)
+    free_load = change.load - np.where(linear.prescribed, 0.0, pull)
+    du, dx = contact.tangent(free_load, offset, radius)
     jump_change = jump.of_displacement(du)
     # gap and slip count from the offsets
     slip = (jump_change - offset) * jump.length_scale

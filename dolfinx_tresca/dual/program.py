@@ -368,8 +368,7 @@ class DualProgram:
         work += float(self.constraints.values[self.of_tools] @ c[self.of_tools])
         friction = reduce_array(self.jump.comm, self.section_at(x, r).dissipation(r))
         energy = 0.5 * elastic - work
-        dual = energy - float(self.inner(x, r)) - 0.5 * error**2
-        return energy + float(friction), dual
+        return energy + float(friction), energy - float(self.inner(x, r)) - 0.5 * error**2
 
 
 def relative_change(change: float, value: float, rounding: float = 0.0) -> float:

@@ -242,8 +242,7 @@ def couple(
         # Functions of the dual basis are negative in part: a mean may be less than all distances
         # around the node. (The gap of displaced surfaces must change as N says, or the positions of
         # finite sliding do not converge.)
-        least = nodes.reduced(np.minimum, integrals.least[:, None], np.inf)
-        gap[:] = np.maximum(gap, least)
+        gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
 

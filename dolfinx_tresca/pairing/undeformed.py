@@ -366,8 +366,7 @@ def _offsets_of_tags(
 
     `limit` is the largest distance of a corner from its surface, relative to the size of the facet.
     """
-    count = len(facets.lagrange_points(OFFSET_DEGREE))
-    result = np.full((len(facets.points), count, 3), np.nan)
+    result = np.full((len(facets.points), len(facets.lagrange_points(OFFSET_DEGREE)), 3), np.nan)
     for k, tag in enumerate(tags):
         if tag not in surfaces:
             continue

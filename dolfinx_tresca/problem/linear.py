@@ -363,8 +363,8 @@ class ContactProblem(ContactProcess):
         contact.check_inputs("a guaranteed bound")
         gain = checked_number("gain", gain, "(0, inf]")
         state = contact.state
-        moved = any(w.x.array.any() for w in (state.geometry, state.configuration))
-        if contact.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
+        displaced = any(w.x.array.any() for w in (state.geometry, state.configuration))
+        if contact.slides_far or self.comm.allreduce(displaced, op=MPI.LOR):
             raise InputError(
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."

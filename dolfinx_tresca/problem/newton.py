@@ -225,10 +225,10 @@ class EnergyBalance:
         change = problem.u.x.array - self._start
         owned = change[: len(forces)]
         starts_there = self._begins_at_end and np.array_equal(start, self._start)
-        moved, held, driven, elsewhere = largest_sizes(
+        free, held, driven, elsewhere = largest_sizes(  # motions, and 1 if it starts elsewhere
             problem.comm, owned[tangent.moves], owned[tangent.prescribed], driven, not starts_there
         )
-        is_far = moved > FAR * max(held, driven)
+        is_far = free > FAR * max(held, driven)
         if elsewhere or (tangent.has_material and not is_far):
             return np.nan, False
         powers = []
@@ -245,8 +245,7 @@ class EnergyBalance:
         local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
         at_ends, stored, contact, work = reduce_array(problem.comm, local)
         released = at_ends - stored + contact - work - dissipation
-        is_large = released > SNAP * max(abs(stored), abs(contact))
-        return released, bool(is_large and is_far)
+        return released, bool(released > SNAP * max(abs(stored), abs(contact)) and is_far)
 
 
 @dataclass
@@ -348,33 +347,17 @@ class Newton:
                 self._sliding.pair_first_configuration()
         while True:
             number += 1
-            before = problem.u.x.array.copy()
             where = f"Newton step {number} with {problem.tangent.fraction:.4g} of the load"
             try:
                 solution = self._step()
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
-            from_start = problem.energy_norm(solution.w.x.array - self.start)
-            # u may go back to zero
-            size = problem.comm.bcast(max(problem.energy_norm(solution.w.x.array), from_start))
-            change = problem.energy_norm(solution.w.x.array - before)
-            problem.u.x.array[:] = solution.w.x.array
+            scale, correction, residual, fault = self._take(solution)
             pressed_before, pressed = pressed, problem.normal_forces_at_nodes() > 0.0
             if number > 1:
                 self._flips += (pressed != pressed_before).any(axis=0)
-            reason = "forces are NaN or infinite, as cells turn inside out"
-            try:
-                residual = problem.residual_norm()
-            except StiffnessError as error:
-                residual, reason = math.nan, str(error).rstrip(".")
-            forces = problem.contact_forces()
-            if self.level > 0:
-                size = min(size, BALANCE * problem.norm_of_correction(forces) or size)
-            size = size or problem.rounding_norm() / self.options.accuracy
-            # sums may differ between ranks in the last digit, verdicts must not
-            size, correction, residual = problem.comm.bcast((size, change / size, residual / size))
-            norm = residual * size
+            norm = residual * scale
             add_cost(self.cost, solution)
             # The residual of the first step may be small only because nothing had moved yet. Steps
             # with added stiffness lead from an unstable equilibrium to a stable one, and on the way
@@ -408,7 +391,7 @@ class Newton:
                 self.stopped = True
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
-                return f"{where}: {reason}"
+                return f"{where}: {fault}"
             excess = 1.0 if reached else residual / self.options.accuracy
             if self._sliding is not None:
                 self._sliding.observe(problem.displacement)
@@ -419,16 +402,39 @@ class Newton:
             if self._sliding is not None:
                 self._sliding.pair_next_configuration()
             elif grows:  # residuals in two configurations would not be comparable
-                return f"{where} diverges: residual {residual:.1e}, after {norm_before / size:.1e}"
+                return f"{where} diverges: residual {residual:.1e}, after {norm_before / scale:.1e}"
             if not self._may_continue(errors):
                 failure = (
                     f"{where} converges too slowly: residual {residual:.1e}, after "
-                    f"{norm_before / size:.1e}; requested {self.options.accuracy:.0e}"
+                    f"{norm_before / scale:.1e}; requested {self.options.accuracy:.0e}"
                 )
                 if self._sliding is not None:
                     failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
                 return failure
             norm_before = norm
+
+    def _take(self, solution: ContactSolution) -> tuple[float, float, float, str]:
+        """Take the displacement u of a step's solution. Collective.
+
+        Return the norm to which errors are relative (`NewtonStep.correction`), the correction, the
+        residual, and why the residual is NaN if it is.
+        """
+        problem, values = self.problem, solution.w.x.array
+        from_start = problem.energy_norm(values - self.start)  # u may go back to zero
+        scale = problem.comm.bcast(max(problem.energy_norm(values), from_start))
+        change = problem.energy_norm(values - problem.u.x.array)
+        problem.u.x.array[:] = values
+        fault = "forces are NaN or infinite, as cells turn inside out"
+        try:
+            residual = problem.residual_norm()
+        except StiffnessError as error:
+            residual, fault = math.nan, str(error).rstrip(".")
+        if self.level > 0:
+            forces = problem.contact_forces()
+            scale = min(scale, BALANCE * problem.norm_of_correction(forces) or scale)
+        scale = scale or problem.rounding_norm() / self.options.accuracy
+        # sums may differ between ranks in the last digit, verdicts must not
+        return *problem.comm.bcast((scale, change / scale, residual / scale)), fault
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps, for observers. Not collective."""

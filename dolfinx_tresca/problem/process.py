@@ -470,8 +470,8 @@ class ContactProcess(PetscOwner, Tabulated):
         supports = Supports(
             self._residual_at(u), contact.linear, u, fields.contact_force, facet_tags
         )
-        moved = fields.u if contact.slides_far else None
-        result = supports.reaction(where, point, moved=moved, frames=contact.jump.frames)
+        displaced = fields.u if contact.slides_far else None
+        result = supports.reaction(where, point, displaced=displaced, frames=contact.jump.frames)
         tag = integer(where)
         if tag is None:
             name = f"bcs[{[where is bc for bc in contact.linear.bcs].index(True)}]"
