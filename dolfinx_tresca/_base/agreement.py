@@ -109,7 +109,7 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
     """
     results: list[_T] = []
 
-    def no_values() -> dict[str, Any]:
+    def no_values() -> dict[str, Any]:  # calls the function where ranks compare their calls
         results.append(function())
         return {}
 

@@ -36,13 +36,13 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     local = connected_components(graph, directed=False)[1][:node_count]
 
     # Parts on two ranks belong to one body if a node of one part is a ghost in the other part.
-    sizes = comm.allgather(int(local.max(initial=-1)) + 1)
-    local = local + sum(sizes[: comm.rank])
+    counts = comm.allgather(int(local.max(initial=-1)) + 1)  # of parts on each rank
+    local = local + sum(counts[: comm.rank])
     label = la.vector(nodes, 1, np.float64)
     label.array[:] = local
     label.scatter_forward()
     links = gather_rows(comm, np.unique(np.column_stack([local, label.array.astype(int)]), axis=0))
-    total = sum(sizes)
+    total = sum(counts)
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
     _, merged = connected_components(graph, directed=False)
     body, count = merged[local], int(merged.max(initial=-1)) + 1
@@ -110,9 +110,9 @@ class Bodies:
         tag_names = _tag_names(V, label, count, cell_tags)
         label = label[: V.dofmap.index_map.size_local]
         centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
-        size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
+        diagonal = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
         # scaled coordinates, for rotations of each body
-        arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / size[label, None]
+        arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / diagonal[label, None]
         node_counts = reduce_array(V.mesh.comm, np.bincount(label, minlength=count))
         return cls(int(count), tag_names, label, bounds, node_counts, arm)
 
@@ -142,10 +142,10 @@ class Bodies:
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
         """Return number, name and box of a body, and the names of its companions, in words."""
         box = self.bounds[index]
-        size = float(np.linalg.norm(box[3:] - box[:3]))
+        diagonal = float(np.linalg.norm(box[3:] - box[:3]))
         tags = [f" ({name})" if name else "" for name in self.tag_names]
         text = f"body {index + 1} of {self.count}{tags[index]}, between "
-        text += f"{_point(box[:3], size)} and {_point(box[3:], size)}"
+        text += f"{_point(box[:3], diagonal)} and {_point(box[3:], diagonal)}"
         if companions:
             named = companions[:6]  # of walls of bricks there are many
             names = ", ".join(f"{k + 1}{tags[k]}" for k in named)
@@ -159,6 +159,7 @@ def _tag_names(V: Any, body: npt.NDArray[np.int64], count: int, cell_tags: Any) 
     """Return for each body the name of the tag that all its cells have, else "". Collective."""
     if cell_tags is None:
         return ("",) * count
+    # the least and the largest tag of a body's cells differ if they have several, or none
     body_of_cell = body[V.dofmap.list[:, 0]]
     tag = np.full((len(body_of_cell), 1), np.inf)
     tag[cell_tags.indices, 0] = cell_tags.values
@@ -168,7 +169,7 @@ def _tag_names(V: Any, body: npt.NDArray[np.int64], count: int, cell_tags: Any) 
     )
 
 
-def _point(x: Array, size: float) -> str:
-    """Return coordinates as text; rounding errors relative to a body's size become zero."""
-    shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
+def _point(x: Array, diagonal: float) -> str:
+    """Return coordinates as text; rounding errors relative to a body's diagonal become zero."""
+    shown = np.where(np.abs(x) > 1e-12 * diagonal, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

@@ -221,8 +221,8 @@ def snapped(
             break
         held |= corners
         points = np.where(held[:, None], start, surface)
-    back = held & (surface != start).any(axis=1)
-    count = int(reduce_array(comm, back[: index_map.size_local].sum()))
+    not_moved = held & (surface != start).any(axis=1)
+    count = int(reduce_array(comm, not_moved[: index_map.size_local].sum()))
     if count:
         warn(
             comm,

@@ -235,6 +235,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
     for pair, operator in zip(problem.pairs, operators, strict=True):
         if pair.obstacle is not None:
             continue
+        # squared errors per area: means over the primary facets at each node
         ds = ufl.Measure("ds", domain=mesh, subdomain_data=pair.facet_tags)
         density, areas = (
             assembled(factor * node * ds(pair.primary), nodes)

@@ -331,8 +331,7 @@ def explicit_rate(
     """Return the change of a goal with u and the multipliers fixed, to first order. Collective.
 
     A form of rank 0 may depend on controls, and a goal such as a force depends on the position of
-    obstacles through normals and tangents. The `change` of the data is that which the changes of
-    the controls cause.
+    obstacles through normals and tangents. The `change` is that of the data along the directions.
     """
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)

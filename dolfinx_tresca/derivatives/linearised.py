@@ -305,9 +305,9 @@ class _FollowedDisplacement:
         if self._compliance.exact:
             return self._compliance.apply(step), 0.0, np.zeros(0)
         self._compliance.products += 1
-        v, before = self._v.copy(), self._error
-        self._error = self.improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
-        product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(v)
-        change = v.array - self._v.array
-        v.destroy()
-        return product, float(np.hypot(self._error, before)), change
+        new_v, error_before = self._v.copy(), self._error
+        self._error = self.improve(y + step, new_v, FULL_ACCURACY, STEP_ACCURACY * length)
+        product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(new_v)
+        change = new_v.array - self._v.array
+        new_v.destroy()
+        return product, float(np.hypot(self._error, error_before)), change

@@ -230,6 +230,7 @@ class DualProgram:
         with K, if forces act and displacements are prescribed. Collective.
         """
         energy, jump = self._load_terms
+        # u = K^-1 f - K^-1 B'x: |u|^2 = f'K^-1 f - 2 x'B K^-1 f + x'A x, where A x = r + b
         square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
         # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
@@ -305,11 +306,9 @@ class DualProgram:
 
     def _largest_stress(self, x: Array) -> float:
         """Return the largest pressure or traction of this rank's multipliers. Not collective."""
-        nodes, stress = self.jump.discs, x * self.jump.stress_scale
-        return max(
-            float(np.abs(stress[nodes.normal]).max(initial=0.0)),
-            float(nodes.norms(stress).max(initial=0.0)),
-        )
+        discs, stress = self.jump.discs, x * self.jump.stress_scale
+        pressures, tractions = np.abs(stress[discs.normal]), discs.norms(stress)
+        return float(max(pressures.max(initial=0.0), tractions.max(initial=0.0)))
 
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.

@@ -214,6 +214,7 @@ class FixingSprings:
         would be deformed locally around a single node.
         """
         modes, label = self.modes, self.modes.bodies.label
+        # the nodes that modes move, and a random number in [0, 1) for each, whatever the partition
         moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
         numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.count))
         start = modes.comm.scan(len(label)) - len(label)
@@ -221,6 +222,7 @@ class FixingSprings:
         chosen = moves & (chance * numbers[label] <= FIXING_NODES)
         fixed_modes = csr_array(diags_array(np.repeat(chosen, modes.dim) * 1.0) @ modes.basis)
         fixed_modes.eliminate_zeros()
+        # such that R'Z is the root of the modes' stiffness
         gram = RankReductions(modes.comm).sparse_inner(fixed_modes, fixed_modes)
         values, vectors = modes.comm.bcast(eigenpairs(gram))
         inverse = vectors @ diags_array(1.0 / values) @ vectors.T

@@ -158,6 +158,7 @@ class SmoothSurface:
         that surround its other corners. If there are none, the facets of a curve count as kinked.
         On a surface (3D), such as a strip one facet wide, the least smooth facet around counts.
         """
+        # slopes at both ends of a side: opposite on a parabola, equal at a kink
         start, end = self._slopes()
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)

@@ -173,8 +173,8 @@ class ContactOperators:
         marked = dolfinx.mesh.meshtags(Q.mesh, tags.dim, facets, values)
         ds = ufl.Measure("ds", domain=Q.mesh, subdomain_data=marked, subdomain_id=1)
         radius = ufl.SpatialCoordinate(Q.mesh)[0]
-        size = 2.0 * np.pi * radius if self._pair.axisymmetric else ufl.as_ufl(1.0)
-        whole = assembled(size * ufl.TestFunction(Q) * ds, Q).x.array
+        ring = 2.0 * np.pi * radius if self._pair.axisymmetric else ufl.as_ufl(1.0)
+        whole = assembled(ring * ufl.TestFunction(Q) * ds, Q).x.array
         areas.x.array[:] /= np.where(whole > 0.0, whole, 1.0)
         areas.name = "area_fraction"
         return areas

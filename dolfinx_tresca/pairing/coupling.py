@@ -206,18 +206,18 @@ def couple(
     with errors_on_all_ranks(comm):
         # means, weighted by the functions psi_i of the dual basis: of the displacement on both
         # sides, of the six quantities of `FacetIntegrals.means`, and of the coordinates
-        sums = redistribution(carries)
-        weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", sums, integrals.hats), 0.0)
+        spread = redistribution(carries)
+        weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
         scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-        dual = dual_coefficients(integrals.hats, sums) * scale[corners][:, :, None]
-        own = dual @ integrals.values
-        jump = assemble_rows(nodes, corners, facets.nodes, own, columns)
+        dual = dual_coefficients(integrals.hats, spread) * scale[corners][:, :, None]
+        own_rows = dual @ integrals.values  # (facets, corners, k)
+        jump = assemble_rows(nodes, corners, facets.nodes, own_rows, columns)
         across = csr_array(jump.shape)
         if primary is not None:
-            blocks = dual[facet] @ integrals.partner
-            across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
+            rows = dual[facet] @ integrals.partner
+            across = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, columns)
             jump = jump - across
-        means = np.concatenate([dual @ integrals.means, own @ facets.points], axis=2)
+        means = np.concatenate([dual @ integrals.means, own_rows @ facets.points], axis=2)
         means = nodes.reduced(np.add, means, 0.0)
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     length = np.linalg.norm(means[:, 3:6], axis=1)
@@ -231,11 +231,12 @@ def couple(
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
 
-    areas = np.einsum("nij,njk->ni", sums[facet], integrals.partner)  # of overlaps, by corners
+    # the share of each pair of the group in a node's area, from the areas of overlaps
+    areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
     column = partner if primary is None else primary.tag_index[partner]
-    member = group.pair_of_tags[facets.tag_index[facet], column]
+    pair_index = group.pair_of_tags[facets.tag_index[facet], column]
     shares: Array = np.zeros((count, len(group.pairs)))
-    np.add.at(shares, (corners[facet], member[:, None]), areas)
+    np.add.at(shares, (corners[facet], pair_index[:, None]), areas)
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
     if not displaced and primary is not None:
@@ -246,6 +247,7 @@ def couple(
         if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
 
+    # from here on, arrays have rows for the nodes with multipliers alone
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
@@ -299,25 +301,25 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
         )
 
 
-def dual_coefficients(hats: Array, sums: Array) -> Array:
+def dual_coefficients(hats: Array, spread: Array) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
     (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is that of phi_i for i =
     j, else zero. So a nodal pressure is the nodal force divided by the covered area. The hat
-    functions of corners that carry no multiplier are first added to the others, by the `sums` of
+    functions of corners that carry no multiplier are first added to the others, by the `spread` of
     `redistribution`; a facet without multipliers has no basis. The basis sums to 1, so that
     constant pressures are transferred exactly. `hats` (n, corners, corners) are the integrals
     phi_i phi_j.
     """
     every = np.eye(hats.shape[1])
-    masses = sums @ hats @ sums.transpose(0, 2, 1)
+    masses = spread @ hats @ spread.transpose(0, 2, 1)
     weights = masses.sum(axis=2)[:, :, None]
     # a mass matrix M of a strip is nearly singular; the coefficients (1 + t) D (M + t D)^-1, with
     # the row sums D of M, keep the sum of the basis for any t
     shifted = masses + ROUNDING * weights * every
     shifted += np.logical_not(masses.any(axis=2))[:, :, None] * every
-    return np.asarray((1.0 + ROUNDING) * weights * np.linalg.inv(shifted) @ sums)
+    return np.asarray((1.0 + ROUNDING) * weights * np.linalg.inv(shifted) @ spread)
 
 
 def redistribution(receives: Mask) -> Array:

@@ -166,6 +166,7 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([pair.obstacle is None for pair in pairs])
     obstacles = [id(pair.obstacle) for pair in pairs]
+    # (pairs, pairs) whether two pairs may belong to one group
     linked = np.outer(single, single) & np.equal.outer(obstacles, obstacles)
     np.fill_diagonal(linked, False)
     if linked.any():

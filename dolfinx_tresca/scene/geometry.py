@@ -258,8 +258,8 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
     points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
-    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(sizes[dim] <= 1e-9 * sizes[0])  # less is rounding
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extents[dim] <= 1e-9 * extents[0])  # less is rounding
 
 
 def _grid(model: Any, dim: int, entity: int, per_axis: int) -> Array:
