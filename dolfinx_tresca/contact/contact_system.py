@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask, real
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, log, timed, warn
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs, log, timed, warn
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
@@ -466,7 +466,7 @@ class ContactSystem(PetscOwner):
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
-        timings = dict(zip(timings, largest_sizes(self.comm, *timings.values()), strict=True))
+        timings = dict(zip(timings, largest_abs(self.comm, *timings.values()), strict=True))
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
         results = status, dual, multipliers, evaluation, history, curves, inputs
         solution = StepSolution(*results, obstacle_moves, motions)
@@ -520,7 +520,7 @@ class ContactSystem(PetscOwner):
             dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
         except MechanismError as error:
             motion = with_owned_values(self.linear.V, error.motion, "motion")
-            (greatest,) = largest_sizes(self.comm, np.linalg.norm(owned_values(motion), axis=1))
+            (greatest,) = largest_abs(self.comm, np.linalg.norm(owned_values(motion), axis=1))
             motion.x.array[:] /= greatest or 1.0  # zero where tools move
             error.motion = motion
             raise

@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
@@ -145,7 +145,7 @@ class FiniteSliding:
             gap_change = np.nan_to_num(gaps - former.gaps)
             before_step = state.accepted.displacement
             step = u.x.array - (0.0 if before_step is None else before_step.x.array)
-            change, length, displaced = largest_sizes(contact.comm, gap_change, step, u.x.array)
+            change, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
             length = max(length, SMALL_STEP * displaced)
             resolution = ROUNDING * (contact.obstacles.extent + displaced)
             self.change = max(
@@ -196,7 +196,7 @@ class FiniteSliding:
             w = w if linear.frames is None else linear.frames.displacement(w)
         finally:
             linear.frames = frames
-        step, displaced = largest_sizes(contact.comm, w.x.array - origin.x.array, w.x.array)
+        step, displaced = largest_abs(contact.comm, w.x.array - origin.x.array, w.x.array)
         if step > ROUNDING * (contact.obstacles.extent + displaced):
             contact.pair_where_changed(w)
 

@@ -13,7 +13,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs, reduce_array
 from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
@@ -43,7 +43,7 @@ class Obstacles:
         self._at_pairing: list[Array] = []
         # motions of bolts; the entries of obstacles are not read
         self._of_bolts = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
-        (self.extent,) = largest_sizes(V.mesh.comm, V.mesh.geometry.x)
+        (self.extent,) = largest_abs(V.mesh.comm, V.mesh.geometry.x)
 
     @property
     def motions(self) -> Array:
@@ -144,7 +144,7 @@ class Obstacles:
             )
         point = obstacle.motion.applied_to(given.about[:, None])[:, 0]
         places = np.vstack([jump.pairs[number].places for number in numbers])
-        (arm,) = largest_sizes(self._V.mesh.comm, places - point[: places.shape[1]])
+        (arm,) = largest_abs(self._V.mesh.comm, places - point[: places.shape[1]])
         load, result = np.append(given.force(), given.moment()), []
         for name in free:
             turns = name.startswith("r")
@@ -196,7 +196,7 @@ class Obstacles:
         if rates is None:
             return np.zeros(len(self._pairs))
         ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
-        return np.array(largest_sizes(comm, *np.split(rates[0], ends)))
+        return np.array(largest_abs(comm, *np.split(rates[0], ends)))
 
     def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
         """Return the displacement of the obstacle's points that are at the nodes displaced by u."""

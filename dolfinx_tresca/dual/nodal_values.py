@@ -20,7 +20,7 @@ from ufl.domain import extract_domains
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, summed_at_nodes
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs, summed_at_nodes
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import ScalarField, VectorField, expression_of
 
@@ -84,14 +84,14 @@ def central_differences(
     """
     given = values_of(control).copy()
     result: Array | None = None
-    for magnitude in (*largest_sizes(comm, given), *MAGNITUDES):
+    for magnitude in (*largest_abs(comm, given), *MAGNITUDES):
         ends = []
         for end in (DIFFERENCE * magnitude, -DIFFERENCE * magnitude):
             for direction in directions:
                 with replaced([control], [given + end * direction]):
                     ends.append(values())
         high, low = np.split(np.array(ends), 2)
-        change, *largest = largest_sizes(comm, high - low, high, low)
+        change, *largest = largest_abs(comm, high - low, high, low)
         is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
         if change > 0.0 and (is_useful or result is None):
             result = np.asarray((high - low) / (2.0 * DIFFERENCE * magnitude))

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
@@ -151,7 +151,7 @@ class DualProgram:
     def _check_units(self) -> None:
         """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
         force = self._load.norm(PETSc.NormType.INFINITY)
-        (largest,) = largest_sizes(self.jump.comm, self.b)
+        (largest,) = largest_abs(self.jump.comm, self.b)
         least = 1.0 / LARGEST_ENTRY
         for name, entry in (("load", force), ("displacement it causes", largest)):
             if entry > LARGEST_ENTRY or (largest < least and 0.0 < entry < least):

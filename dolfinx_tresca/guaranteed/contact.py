@@ -11,7 +11,7 @@ from scipy.sparse import kron
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask, unit
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
+from dolfinx_tresca._base.parallel import largest_abs, reduce_array, summed_at_nodes
 from dolfinx_tresca._base.petsc import as_petsc
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
@@ -217,7 +217,7 @@ class ContactSurface:
         lack = np.einsum("mk,mkij,mij->m", bounds, products, sizes)
         lack += np.einsum("mkd,mkij,mijd->m", friction, products, slips)
         depths = jumps if self._bonded else np.minimum(openings, 0.0)
-        deepest, size = largest_sizes(self._cells.V.mesh.comm, depths, v.x.array)
+        deepest, size = largest_abs(self._cells.V.mesh.comm, depths, v.x.array)
         needed = f"prescribed displacements that do not penetrate, unlike those of {self._pair}"
         self._cells.require(deepest <= PENETRATION * size, needed)
         return np.stack([complementarity, lack], axis=1)

@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_integer, checked_number
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
 from dolfinx_tresca.dual.nodal_values import replaced
@@ -225,7 +225,7 @@ class EnergyBalance:
         change = problem.u.x.array - self._start
         owned = change[: len(forces)]
         starts_there = self._begins_at_end and np.array_equal(start, self._start)
-        free, held, driven, elsewhere = largest_sizes(  # motions, and 1 if it starts elsewhere
+        free, held, driven, elsewhere = largest_abs(  # motions, and 1 if it starts elsewhere
             problem.comm, owned[tangent.moves], owned[tangent.prescribed], driven, not starts_there
         )
         is_far = free > FAR * max(held, driven)

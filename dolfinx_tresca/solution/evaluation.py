@@ -15,7 +15,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
-from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
@@ -176,12 +176,12 @@ def evaluate(
         fields.append(surface.fields(operators, u, values))
         openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
         forces.append(operators.weights[:, None] * tractions)
-    pair_states = map(PairState, pressed_counts, node_counts, largest_sizes(comm, *openings))
+    pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
     at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
-    peak_pressure, greatest_slip, greatest_total_slip = largest_sizes(comm, *at_pressed)
+    peak_pressure, greatest_slip, greatest_total_slip = largest_abs(comm, *at_pressed)
     primal, dual_energy = dual.energies(x, solved, c, error)
     if B.frames is not None:
         work = B.frames.work(B.system.assemble_forces())
@@ -302,7 +302,7 @@ def node_values(
     change, largest, rounding = dual.local_change(x, r)
     limit = max(change, EDGE * largest)  # of a node's traction, up to which its state is undecided
     bounds, changed = (s.radius[np.isfinite(section.radius)] for s in (section, target_section))
-    bound_change, largest_bound = largest_sizes(B.comm, changed - bounds, bounds)
+    bound_change, largest_bound = largest_abs(B.comm, changed - bounds, bounds)
 
     normal = np.flatnonzero(~B.is_tangential)
     node, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]

@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -182,7 +182,7 @@ class Supports:
         forces -= self.contact_force.x.array[: len(forces)]
         free = ~self.system.prescribed
         contact = self.contact_force.x.array
-        unbalanced, *largest = largest_sizes(V.mesh.comm, forces[free], forces, contact)
+        unbalanced, *largest = largest_abs(V.mesh.comm, forces[free], forces, contact)
         # solutions of the default accuracy leave less than a hundredth of this
         if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding():
             raise ContactError(
@@ -215,7 +215,7 @@ class Supports:
         opposite.x.array[:] = u.x.array * (1.0 - 2.0 * parity)
         opposite.x.scatter_forward()
         forces = self._at_nodes(ufl.derivative(self.residual, u, opposite))
-        (largest,) = largest_sizes(u.function_space.mesh.comm, forces)
+        (largest,) = largest_abs(u.function_space.mesh.comm, forces)
         return 1e-10 * largest
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:

@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, dots, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
-from dolfinx_tresca._base.parallel import RankReductions, largest_sizes, reduce_array, warn
+from dolfinx_tresca._base.parallel import RankReductions, largest_abs, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import shown_place
 from dolfinx_tresca.pairing.facets import FACING_COSINE, Facets
@@ -249,7 +249,7 @@ def hint_at_overlap(
 ) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
-    (extent,) = largest_sizes(comm, points)
+    (extent,) = largest_abs(comm, points)
     rounding = ROUNDING * extent
     for pair, paired, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True

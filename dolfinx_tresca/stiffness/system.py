@@ -20,7 +20,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs, require_real_petsc
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs
 from dolfinx_tresca._base.petsc import PetscOwner, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
@@ -299,7 +299,7 @@ class LinearSystem(PetscOwner):
         before, response = fem.Function(self.space), fem.Function(self.space)
         before.x.array[slice(None) if self.component is None else self.component.dofs] = u.x.array
         change = self.prescribed_values() - before.x.array[: len(self.prescribed)][self.prescribed]
-        changed, largest = largest_sizes(self.comm, change, u.x.array)
+        changed, largest = largest_abs(self.comm, change, u.x.array)
         if changed > ROUNDING * largest:
             forces = self.forces_of(change)
             forces.array = np.where(self.prescribed, 0.0, -forces.array)
