@@ -244,6 +244,7 @@ def cells_to_refine(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     descending = np.sort(np.concatenate(comm.allgather(squares)))[::-1]
     sums = np.cumsum(descending)
     least = descending[np.argmax(sums * above >= fraction * sums[-1])]
+    # the cut is in the widest gap between errors that nearly equal the least marked one
     near = descending[(descending >= NEARLY * least) & (descending <= least * above)][::-1]
     below = np.append(NEARLY * least, near[:-1])
     gap = np.argmax(near / below)

@@ -257,8 +257,8 @@ class FiniteSliding:
         loads = self._path[-1].loads + configuration.loads
         changed = loads[(self._path[-1].loads > 0.0) != (configuration.loads > 0.0)]
         sums = [float(changed.sum()), float(loads.sum())]
-        of_changed, whole = reduce_array(self._contact.comm, sums)
-        return bool(of_changed <= ALIKE * whole)
+        changed_load, whole_load = reduce_array(self._contact.comm, sums)
+        return bool(changed_load <= ALIKE * whole_load)
 
     def _products(self, x: Array, vectors: list[Array]) -> Array:
         """Return the inner products of x with other displacements, all with ghosts. Collective."""

@@ -206,11 +206,11 @@ def goal_error(
     by_jump, by_x = derivatives_of(goal, jump, x)
     z, _ = contact.adjoint(by_jump, by_x, accuracy=ADJOINT_ACCURACY)
     estimator = dual.compliance.estimator
-    products = estimator.products(contact.u, z)
+    error_products = estimator.products(contact.u, z)
     cells, of_z = estimator.cell_errors(contact.u), estimator.cell_errors(z)
     cells.x.array[:] = np.sqrt(cells.x.array * of_z.x.array)
-    own = cells.x.array[: len(products)]
-    unsigned, signed = reduce_array(jump.comm, [own @ own, products.sum()])
+    own_cells = cells.x.array[: len(error_products)]
+    unsigned, signed = reduce_array(jump.comm, [own_cells @ own_cells, error_products.sum()])
     degree = contact.u.function_space.element.basix_element.degree
     return GoalError(
         goal=goal,

@@ -223,9 +223,9 @@ class FloatingBodies:
         sum is set to zero.
         """
         U, dim = self.displacements, self.modes.dim
-        nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
-        lengths = (nodes @ U.power(2)).sqrt()
-        terms: Array = reduce_array(self.modes.comm, lengths.T @ np.sqrt(nodes @ np.square(f)))
+        add_components = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
+        lengths, forces = (add_components @ U.power(2)).sqrt(), np.sqrt(add_components @ f**2)
+        terms: Array = reduce_array(self.modes.comm, lengths.T @ forces)
         result: Array = reduce_array(self.modes.comm, U.T @ f)
         result[np.abs(result) <= ROUNDING * terms] = 0.0
         return result, terms

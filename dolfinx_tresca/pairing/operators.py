@@ -160,6 +160,7 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
     """Return rows (n, dofs) of the jump (nodes, nodes of V) along unit vectors (n, d)."""
+    # each entry becomes dim entries, in the columns of its node's components
     dim, of_rows = directions.shape[1], jump[rows]
     values = np.repeat(directions, np.diff(of_rows.indptr), axis=0) * of_rows.data[:, None]
     columns = of_rows.indices.astype(np.int64)[:, None] * dim + np.arange(dim)

@@ -405,6 +405,7 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: i
         return offsets(projections[0], points)
     corners = points[:, : facets.corners]
     probes = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+    # distances (projections, facets, corners and centre)
     away = np.stack([np.linalg.norm(offsets(onto, probes), axis=2) for onto in projections])
     of_corners = away[:, :, :-1].max(axis=2)
     rounding = ON_SURFACE * np.ptp(corners, axis=1).max(axis=1)

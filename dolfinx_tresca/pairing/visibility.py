@@ -190,6 +190,7 @@ def _around_origin(corners: Array) -> Mask:
         low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
         slack = MISMATCH * (high - low)
         return np.asarray((low <= slack) & (high >= -slack))
+    # seen from inside, all sides turn in the same sense
     turns = _cross(corners, np.roll(corners, -1, axis=1))
     slack = MISMATCH * np.abs(turns).sum(axis=1, keepdims=True)
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))

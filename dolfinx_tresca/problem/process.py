@@ -168,8 +168,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def update_geometry(self, u: fem.Function | None = None) -> None:
         """Pair the surfaces in the configuration displaced by u. Collective.
 
-        With small sliding, nodes keep their normals and their partners on the other side. After
-        this call, these are those in the configuration displaced by u, the gap at a later
+        With small sliding, nodes keep their normals and their partners on the other side. This call
+        takes the normals and partners in the configuration displaced by u; the gap at a later
         displacement v is d - N (v - u) with the distance d of the displaced surfaces, and stresses
         are forces divided by displaced areas. `sliding="finite"` does this in each solve. For an
         iteration of your own, repeat `solve` and `update_geometry` within a load step until the

@@ -352,9 +352,9 @@ class TangentProblem(ContactSystem):
         with replaced([self.u], [self._reference]):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
-        free, moves = stiffness.createVecs()
-        free.array, moves.array = factor * self.tangent.moves, self.tangent.moves
-        stiffness.diagonalScale(free, moves)
+        rows, columns = stiffness.createVecs()
+        rows.array, columns.array = factor * self.tangent.moves, self.tangent.moves
+        stiffness.diagonalScale(rows, columns)
         return stiffness
 
     def begin(self) -> None:

@@ -293,6 +293,7 @@ def node_values(
         with the changes of tractions and slip bounds up to each node's local minimiser.
     """
     B, x = dual.jump, solution.multipliers
+    # nodes are in the state that they would take if their neighbours were fixed
     section, target = dual.section_at(x, solution.gradient), dual.local_minimiser(x, r)
     target_section = dual.admissible.at_point(x, r).section(target)
     stick = target_section.face(target).stick
@@ -305,7 +306,7 @@ def node_values(
     bound_change, largest_bound = largest_abs(B.comm, changed - bounds, bounds)
 
     normal = np.flatnonzero(~B.is_tangential)
-    node, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]
+    node_of_row, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]
     bonded = np.repeat([pair.bonded for pair in B.pairs], numbers)
     tangential_rows = reduce_array(B.comm, [len(pair.tangent_node) for pair in B.pairs])
     has_friction = np.repeat(tangential_rows > 0, numbers)
@@ -313,14 +314,15 @@ def node_values(
     sticks, rubs = stick[nodes], target_section.radius[nodes] > 0.0
     pressed = np.zeros(len(bonded), dtype=np.bool_)
     # strict inequality: a node without gap and without load is not pressed
-    pressed[node] = bonded[node] | (target[normal] > 0.0)
+    pressed[node_of_row] = bonded[node_of_row] | (target[normal] > 0.0)
+    # where tractions are near the edge of their friction disc, or pressures near zero
     scale = np.ones(len(target_section.radius))
     scale[target_section.node] = B.stress_scale[target_section.tangential]
     has_circle = np.isfinite(target_section.radius) & (target_section.radius > 0.0)
     radius = np.where(has_circle, target_section.radius, 0.0)
     away = np.abs(target_section.norms(target) - radius) * scale
     undecided = (has_circle & (away <= limit))[nodes]
-    undecided[node] |= np.abs(target * B.stress_scale)[normal] <= limit
+    undecided[node_of_row] |= np.abs(target * B.stress_scale)[normal] <= limit
 
     conditions = {
         ContactState.BONDED: bonded,
@@ -335,7 +337,7 @@ def node_values(
     vectors = np.vstack(B.nodal_vectors(slip * B.length_scale))[:, 1:]
     slips_before = zip(B.pairs, dual.history.slipped, strict=True)
     before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
-    counted = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
+    path = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
     sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
@@ -344,7 +346,7 @@ def node_values(
         "local_error": relative_change(change, largest, rounding),
         "bound_error": relative_change(bound_change, largest_bound),
     }
-    return states, np.column_stack([vectors, counted]), before, slip, results
+    return states, np.column_stack([vectors, path]), before, slip, results
 
 
 def status_of_fields(

@@ -100,6 +100,7 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     comm, values, label = u.function_space.mesh.comm, owned_values(u), bodies.label
     dim, sums = values.shape[1], RankReductions(comm)
     diagonal = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
+    # the rigid motion of each body that is nearest to u, by least squares
     modes = bodies.rigid_modes(dim)
     normal_equations = sums.sparse_inner(modes, modes).tocsc()
     rigid = spsolve(normal_equations, sums.inner(modes, values.ravel()))

@@ -88,9 +88,9 @@ class StiffnessSolver(PetscOwner):
         self._ksp.setOptionsPrefix(prefix)
         self._ksp.setOperators(K)
         options = PETSc.Options(prefix)
-        mine = {key: value for key, value in defaults.items() if not options.hasName(key)}
-        mine |= petsc_options
-        for key, value in mine.items():
+        applied = {key: value for key, value in defaults.items() if not options.hasName(key)}
+        applied |= petsc_options
+        for key, value in applied.items():
             options[key] = value
         try:
             with destroyed_on_error(self):
@@ -106,7 +106,7 @@ class StiffnessSolver(PetscOwner):
                 "the PETSc options, and whether memory suffices."
             ) from error
         finally:
-            for key in mine:
+            for key in applied:
                 del options[key]
 
     def check_ready(self) -> None:
