@@ -33,31 +33,32 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     cell = np.repeat(np.arange(node_count, node_count + len(cells)), cells.shape[1])
     shape = (node_count + len(cells),) * 2
     graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=shape)
-    local = connected_components(graph, directed=False)[1][:node_count]
+    fragment = connected_components(graph, directed=False)[1][:node_count]
 
-    # Parts on two ranks belong to one body if a node of one part is a ghost in the other part.
-    counts = comm.allgather(int(local.max(initial=-1)) + 1)  # of parts on each rank
-    local = local + sum(counts[: comm.rank])
+    # Fragments on two ranks belong to one body if a node of one is a ghost in the other. They get
+    # numbers over all ranks, and nodes that of the fragment on the rank that owns them (`label`).
+    counts = comm.allgather(int(fragment.max(initial=-1)) + 1)
+    fragment = fragment + sum(counts[: comm.rank])
     label = la.vector(nodes, 1, np.float64)
-    label.array[:] = local
+    label.array[:] = fragment
     label.scatter_forward()
-    links = gather_rows(comm, np.unique(np.column_stack([local, label.array.astype(int)]), axis=0))
-    total = sum(counts)
+    links = np.unique(np.column_stack([fragment, label.array.astype(int)]), axis=0)
+    links, total = gather_rows(comm, links), sum(counts)
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
-    _, merged = connected_components(graph, directed=False)
-    body, count = merged[local], int(merged.max(initial=-1)) + 1
+    _, body_of_fragment = connected_components(graph, directed=False)
+    body, count = body_of_fragment[fragment], int(body_of_fragment.max(initial=-1)) + 1
 
     bounds = _extremes(comm, body, count, V.tabulate_dof_coordinates())
     in_file = np.asarray(mesh.geometry.input_global_indices)[geometry_dofmap(mesh)]
-    body_of_cell = body[cells[: len(in_file), 0]]
-    in_file = _extremes(comm, body_of_cell, count, in_file.min(axis=1, keepdims=True))[:, 0]
-    # steps between sorted coordinates that are rounding do not count
+    body_of_cell, least = body[cells[: len(in_file), 0]], in_file.min(axis=1, keepdims=True)
+    least_in_file = _extremes(comm, body_of_cell, count, least)[:, 0]
+    # places of coordinates among the sorted ones; steps that are rounding do not count
     places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
     for place, values in zip(places.T, bounds.T, strict=True):
         ascending = np.argsort(values)
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
         place[ascending] = np.cumsum(steps > rounding)
-    place_of_body = np.argsort(np.lexsort([in_file, *places.T[::-1]]))
+    place_of_body = np.argsort(np.lexsort([least_in_file, *places.T[::-1]]))
     return np.asarray(place_of_body[body])
 
 
@@ -66,6 +67,7 @@ def labels_of(
 ) -> npt.NDArray[np.int64]:
     """Return labels (n,) of nodes by global numbers, from those of owned nodes. Collective."""
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
+    # ask the ranks that own the numbers, and send the answers back
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
     return np.asarray(exchange(comm, label[asked - start], source)[0])

@@ -65,6 +65,8 @@ class ContactSystem(PetscOwner):
         secondary: the secondary side of each pair.
         stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
         slides_far: whether at least one pair has finite sliding.
+        depends_on_start: whether the slip bound of a pair depends on the pressure, and a solution
+            maybe on where its solve starts.
         friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
             nodes of the displacement.
         guess: displacements of earlier solves with the present B, for first guesses of iterative
@@ -85,8 +87,7 @@ class ContactSystem(PetscOwner):
         self._noticed: set[scene_checks.Limit] = set()  # to which solutions have come near
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
-        # the slip bound of a pair depends on the pressure, unless its coefficient is zero
-        self._depends_on_start = any(real(pair.friction.terms.coefficient) != 0.0 for pair in pairs)
+        self.depends_on_start = any(real(pair.friction.terms.coefficient) != 0.0 for pair in pairs)
         self.unknowns: fem.Function | None = None
         self.timings: dict[str, float] = {}
         V, prescribed = linear.V, linear.prescribed_displacements
@@ -205,12 +206,7 @@ class ContactSystem(PetscOwner):
     def begin_solve(self) -> None:
         """Pair where obstacles have moved, and go to where the next solve starts. Collective."""
         self.pair_where_changed(self._state.accepted.configuration)
-        self.state = self.state_at_start
-
-    @property
-    def state_at_start(self) -> StepState:
-        """The state from which the next solve begins with the present pairing. Collective."""
-        return self.state.at_start(self._depends_on_start)
+        self.state = self.state.at_start(self.depends_on_start)
 
     def pair_where_changed(
         self, configuration: fem.Function | None = None, geometry: fem.Function | None = None

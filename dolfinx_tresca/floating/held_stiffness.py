@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import timed
 from dolfinx_tresca.errors import InputError
@@ -56,7 +58,13 @@ class HeldStiffness:
             return multigrid(K, linear.V, linear.prescribed, *given), springs
 
     def __str__(self) -> str:
-        return f"{self.bodies.count}{'' if self._modes is None else self._modes.summary}"
+        text, modes = f"{self.bodies.count}", self._modes
+        if modes:
+            floating = np.unique(modes.body[modes.floats])
+            softly_held = np.setdiff1d(modes.body, floating)
+            for bodies, how in ((floating, "by contact alone"), (softly_held, "softly")):
+                text += f", {len(bodies)} of them held {how}" * bool(len(bodies))
+        return text
 
     def check_suits(self, options: SolverOptions) -> None:
         """Check that options suit the bodies and the form. Not collective."""

@@ -59,15 +59,6 @@ class RigidBodyModes:
         return len(self.floats)
 
     @property
-    def summary(self) -> str:
-        """The numbers of floating and of softly held bodies, as the end of a sentence."""
-        floating = np.unique(self.body[self.floats])
-        kinds = (floating, "by contact alone"), (np.setdiff1d(self.body, floating), "softly")
-        return "".join(
-            f", {len(bodies)} of them held {how}" for bodies, how in kinds if len(bodies)
-        )
-
-    @property
     def dim(self) -> int:
         """The dimension of space."""
         return 3 if self.mode_components.shape[0] == 6 * self.bodies.count else 2

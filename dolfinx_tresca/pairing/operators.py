@@ -118,14 +118,9 @@ class PairOperators:
         return self.distance + self.added_gap
 
     @property
-    def axisymmetric(self) -> bool:
-        """Whether areas are areas of rings about the axis x = 0."""
-        return self.undeformed.sides[0].axisymmetric
-
-    @property
     def sizes(self) -> Array:
         """(n,) linear size of each node's whole area [length]; for a ring its width."""
-        if not self.axisymmetric:
+        if not self.undeformed.sides[0].axisymmetric:
             return np.asarray(self.areas ** (1.0 / (self.normals.shape[1] - 1)))
         radii = np.maximum(self.places[:, 0], np.sqrt(self.areas / np.pi))  # at the axis: a disc
         return np.asarray(self.areas / (2.0 * np.pi * radii))

@@ -287,7 +287,8 @@ class ContactProcess(PetscOwner, Tabulated):
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._check_material(material)
         path = Path(self.comm.bcast(str(path)))
-        write_state(path, self._contact.state_at_start, number, material)
+        state = self._contact.state.at_start(self._contact.depends_on_start)
+        write_state(path, state, number, material)
 
     @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
