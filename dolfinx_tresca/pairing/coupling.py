@@ -32,6 +32,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import owners_flags, owns
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
@@ -134,18 +135,8 @@ def nodes_with_multipliers(
             *(pair, carrying, total, partly, total - paired, prescribed, common),
         )
         return position
-    hint, secondary, primary = "", pair.side("secondary"), pair.side("primary")
-    if pair.obstacle is not None:
-        with errors_on_all_ranks(comm):
-            _, normals = pair.obstacle.at(nodes.points[own])
-        along = dots(normals, nodes.normals[own]) > 0.0
-        reversed_nodes = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
-        if reversed_nodes:
-            hint = (
-                f" At {reversed_nodes} nodes the obstacle's normal is along the outward normal of "
-                "the body, and so points into the body: it must point out of the obstacle, towards "
-                "the surface that may touch it. Reverse it if the tag is right."
-            )
+    secondary, primary = pair.side("secondary"), pair.side("primary")
+    hint = "" if pair.obstacle is None else _hint_at_normals(comm, pair.obstacle, nodes, own)
     if eligible > 0 and pair.sliding == "finite":
         log(
             comm,
@@ -175,6 +166,21 @@ def nodes_with_multipliers(
         f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
         f"side ({secondary}) the outward normal leads to the primary side "
         f"({primary}){within}. Check the tags{limits}.{hint}"
+    )
+
+
+def _hint_at_normals(
+    comm: MPI.Comm, obstacle: RigidObstacle, nodes: SurfaceNodes, own: Mask
+) -> str:
+    """Return a sentence if an obstacle's normals point into the body, else "". Collective."""
+    with errors_on_all_ranks(comm):
+        _, normals = obstacle.at(nodes.points[own])
+    along = dots(normals, nodes.normals[own]) > 0.0
+    count = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
+    return bool(count) * (
+        f" At {count} nodes the obstacle's normal is along the outward normal of the body, and so "
+        "points into the body: it must point out of the obstacle, towards the surface that may "
+        "touch it. Reverse it if the tag is right."
     )
 
 

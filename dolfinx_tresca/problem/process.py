@@ -286,9 +286,8 @@ class ContactProcess(PetscOwner, Tabulated):
         if number is None:
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._check_material(material)
-        path = Path(self.comm.bcast(str(path)))
-        state = self._contact.state.at_start(self._contact.depends_on_start)
-        write_state(path, state, number, material)
+        path, contact = Path(self.comm.bcast(str(path))), self._contact
+        write_state(path, contact.state.at_start(contact.depends_on_start), number, material)
 
     @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
