@@ -90,6 +90,7 @@ class ContactSystem(PetscOwner):
         self.depends_on_start = any(real(pair.friction.terms.coefficient) != 0.0 for pair in pairs)
         self.unknowns: fem.Function | None = None
         self.timings: dict[str, float] = {}
+        # the bodies with the choice of the solver for K, and the obstacles
         V, prescribed = linear.V, linear.prescribed_displacements
         if linear.comm.rank == 0:
             warn_of_slow_blas()
@@ -98,6 +99,7 @@ class ContactSystem(PetscOwner):
         self.stiffness = HeldStiffness(linear, next(cell_tags, None), request)
         self.bodies = self.stiffness.bodies
         self.obstacles = Obstacles(V, pairs)
+        # the surfaces as they are paired in the undeformed bodies, and B
         with timed("pairing", self.timings):
             operators = pair_all_surfaces(V, prescribed, pairs, axisymmetric=linear.axisymmetric)
             self.secondary = Surface.of_pairs(fem.Function(V), pairs)
@@ -109,6 +111,7 @@ class ContactSystem(PetscOwner):
             self.guess = InitialGuess(np.zeros(len(linear.prescribed)))
             self.obstacles.note_pairing(self.jump)
             self._state = StepState.undeformed(self.jump, self.obstacles.motions)
+            # K is factored before the laws are checked, since it tells the rounding of pressures
             self.compliance = self._factored()
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding

@@ -172,6 +172,8 @@ class JumpOperator(PetscOwner):
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
+        # bounds at nodes become radii of discs, in the scale of multipliers; factors of a pressure
+        # need no scale, since the pressure has the same one
         count, radius = len(self.discs.radius), self._relative_radius
         scaled = radius * self._root_areas
         constant, coefficient, limit = (
