@@ -238,7 +238,7 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     corners of an empty polygon are equal. If corners coincide up to rounding, a polygon may cross
     its line more than twice; all crossings are kept.
     """
-    n, a, _ = polygons.shape
+    n, corners, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
     height = _cross(along[:, None], polygons - start[:, None])
     next_height = np.roll(height, -1, axis=1)
@@ -247,9 +247,9 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     share = np.divide(height, height - next_height, out=np.zeros_like(height), where=crosses)
     crossing = polygons + share[:, :, None] * (following - polygons)
     # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
-    points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
-    dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * a)
-    count = 2 * a - dropped.sum(axis=1, keepdims=True)
+    points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * corners, 2)
+    dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * corners)
+    count = 2 * corners - dropped.sum(axis=1, keepdims=True)
     place = np.minimum(np.arange(count.max(initial=1)), np.maximum(count - 1, 0))
     candidate = np.take_along_axis(np.argsort(dropped, axis=1, kind="stable"), place, axis=1)
     return np.take_along_axis(points, candidate[:, :, None], axis=1)

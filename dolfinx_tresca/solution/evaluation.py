@@ -258,8 +258,7 @@ def forces_on(
     in_space.x.scatter_forward()
     on_nodes = B.system.displacement(in_space, "contact_force")
     displaced = u if B.frames is not None or B.system.is_tangent else None
-    nodal, label = owned_values(on_nodes), bodies.label
-    on_bodies = nodal_resultants(V, nodal, displaced, label, bodies.count)
+    on_bodies = nodal_resultants(V, owned_values(on_nodes), displaced, bodies.label, bodies.count)
     on_secondary = [
         -force[:, :1] * pair.normals - force[:, 1:]
         for pair, force in zip(operators, forces, strict=True)
@@ -274,7 +273,7 @@ def forces_on(
         "tangential_force": float(np.linalg.norm(tangential)),
         "pair_resultants": resultants_on(comm, places, all_forces, index, len(forces), point),
         "body_resultants": on_bodies,
-        "between_bodies": resultants_between(V, label, operators, on_secondary),
+        "between_bodies": resultants_between(V, bodies.label, operators, on_secondary),
     }
 
 
@@ -302,8 +301,9 @@ def node_values(
     slip[slipping] = increment[slipping]
     change, largest, rounding = dual.local_change(x, r)
     limit = max(change, EDGE * largest)  # of a node's traction, up to which its state is undecided
-    bounds, changed = (s.radius[np.isfinite(section.radius)] for s in (section, target_section))
-    bound_change, largest_bound = largest_abs(B.comm, changed - bounds, bounds)
+    is_finite = np.isfinite(section.radius)
+    bounds, bounds_at_target = section.radius[is_finite], target_section.radius[is_finite]
+    bound_change, largest_bound = largest_abs(B.comm, bounds_at_target - bounds, bounds)
 
     normal = np.flatnonzero(~B.is_tangential)
     node_of_row, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]
