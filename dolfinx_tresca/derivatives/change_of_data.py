@@ -60,10 +60,10 @@ class NodalField(NamedTuple):
     effect: csr_array
 
 
-def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
+def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
     """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
-    jump, x = contact.dual.jump, contact.multipliers
-    cones = contact.dual.admissible.at_point(x, contact.gradient)
+    jump, x = linearised.dual.jump, linearised.multipliers
+    cones = linearised.dual.admissible.at_point(x, linearised.gradient)
     # an entry for each pair with a curve, in the order of the pairs
     curves = iter(cones.curve_arguments(x) if isinstance(cones, FrictionCones) else ())
     is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
@@ -130,7 +130,7 @@ class JumpDifferences:
 
 def jump_differences(
     system: ContactSystem,
-    contact: LinearisedContact,
+    linearised: LinearisedContact,
     constant: fem.Constant,
     direction: Array,
     in_all_steps: bool,
@@ -163,7 +163,7 @@ def jump_differences(
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
             displaced = displaced_jump(jump, system.pairs, system.state.geometry, moves)
-        sides.append(displaced.along_axes(contact.bounds))
+        sides.append(displaced.along_axes(linearised.bounds))
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
         and np.array_equal(displaced.row_node, pair.row_node)
@@ -177,7 +177,8 @@ def jump_differences(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
             "no derivative with respect to its place. Compare two solutions."
         )
-    return JumpDifferences(sides, [side.of_displacement(contact.u) for side in sides], step, origin)
+    jumps = [side.of_displacement(linearised.u) for side in sides]
+    return JumpDifferences(sides, jumps, step, origin)
 
 
 class DataVector(NamedTuple):
@@ -258,27 +259,27 @@ class DataOfSolution:
         present = self.system.unknowns
         return goal if present is None else ufl.replace(goal, {present: self.u})
 
-    def linearise(self, contact: LinearisedContact) -> None:
+    def linearise(self, linearised: LinearisedContact) -> None:
         """Take the data of a solution. Collective."""
-        self.contact = contact
-        if self.u is not contact.u:
-            self.u.x.array[:] = contact.u.x.array
-        self._fields = nodal_fields(contact, self.system.pairs)
+        self.linearised = linearised
+        if self.u is not linearised.u:
+            self.u.x.array[:] = linearised.u.x.array
+        self._fields = nodal_fields(linearised, self.system.pairs)
 
     def change(self, controls: Sequence[Control], directions: Sequence[Any]) -> DataVector:
         """Return the change of the data along a direction of controls. Collective.
 
         The direction of a Constant is an array, that of a Function is a Function.
         """
-        contact, prescribed = self.contact, self.system.linear.prescribed
-        jump, x = contact.dual.jump, contact.multipliers
+        system, linearised, prescribed = self.system, self.linearised, self.system.linear.prescribed
+        jump, x = linearised.dual.jump, linearised.multipliers
         forces, values = np.zeros((2, len(prescribed)))
-        laws = np.zeros(len(x) + len(contact.face.discs.radius))
+        laws = np.zeros(len(x) + len(linearised.face.discs.radius))
         differences: list[JumpDifferences] = []
 
         def laws_on(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
             """Return the offsets and the radii with the rows of another B."""
-            radius = side.bounded(contact.bounds).section(x).radius
+            radius = side.bounded(linearised.bounds).section(x).radius
             offset = side.gap - jump_of_u + Carry(jump, side).jumps(origin)
             return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
 
@@ -293,7 +294,7 @@ class DataOfSolution:
                     laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
-            sides = jump_differences(self.system, contact, control, direction, self._in_all_steps)
+            sides = jump_differences(system, linearised, control, direction, self._in_all_steps)
             if sides is not None:
                 differences.append(sides)
                 forces -= sides.rate(lambda side, _: np.array(side.whole_force(x).array))

@@ -194,24 +194,24 @@ class GoalError:
 
 
 def goal_error(
-    goal: Goal, contact: LinearisedContact, u: fem.Function, energy_error: float
+    goal: Goal, linearised: LinearisedContact, u: fem.Function, energy_error: float
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
     The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
     that of the iteration [energy^(1/2)].
     """
-    dual, jump, x = contact.dual, contact.dual.jump, contact.multipliers
+    dual, jump, x = linearised.dual, linearised.dual.jump, linearised.multipliers
     products_before = dual.compliance.products
     by_jump, by_x = derivatives_of(goal, jump, x)
-    z, _ = contact.adjoint(by_jump, by_x, accuracy=ADJOINT_ACCURACY)
+    z, _ = linearised.adjoint(by_jump, by_x, accuracy=ADJOINT_ACCURACY)
     estimator = dual.compliance.estimator
-    error_products = estimator.products(contact.u, z)
-    cells, of_z = estimator.cell_errors(contact.u), estimator.cell_errors(z)
+    error_products = estimator.products(linearised.u, z)
+    cells, of_z = estimator.cell_errors(linearised.u), estimator.cell_errors(z)
     cells.x.array[:] = np.sqrt(cells.x.array * of_z.x.array)
     own_cells = cells.x.array[: len(error_products)]
     unsigned, signed = reduce_array(jump.comm, [own_cells @ own_cells, error_products.sum()])
-    degree = contact.u.function_space.element.basix_element.degree
+    degree = linearised.u.function_space.element.basix_element.degree
     return GoalError(
         goal=goal,
         value=value_of(goal, x, jump, jump.of_displacement(u)),
@@ -272,15 +272,15 @@ def gradient(
     those that this rank owns), and the derivatives (size,) with respect to the slip origin of this
     step.
     """
-    contact, jump, u = data.contact, data.contact.dual.jump, data.contact.u
-    discs, sticks, inner = contact.face.discs, contact.face.stick, contact.dual.inner
+    linearised, jump, u = data.linearised, data.linearised.dual.jump, data.linearised.u
+    discs, sticks, inner = linearised.face.discs, linearised.face.stick, linearised.dual.inner
     by_origin = np.zeros(discs.size) if by_origin is None else by_origin
     by_next_step = by_origin.copy()  # of nodes that do not stick
     by_next_step[discs.tangential[sticks[discs.node]]] = 0.0
     by_jump, by_x, by_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
     for weight, goal in goals:
         if not isinstance(goal, ufl.Form):
-            goal_by_jump, goal_by_x = derivatives_of(goal, jump, contact.multipliers)
+            goal_by_jump, goal_by_x = derivatives_of(goal, jump, linearised.multipliers)
             by_jump += weight * goal_by_jump
             by_x += weight * goal_by_x
         elif u in goal.coefficients():
@@ -291,11 +291,11 @@ def gradient(
                 "write it in terms of solution.u."
             )
     linear = jump.system
-    z, y = contact.adjoint(by_jump, by_x, np.where(linear.prescribed, 0.0, by_u))
+    z, y = linearised.adjoint(by_jump, by_x, np.where(linear.prescribed, 0.0, by_u))
     by_u += jump.whole_force(by_jump - y).array
     load = z.x.array[: len(by_u)].copy()
     load[linear.prescribed] = by_u[linear.prescribed] - linear.reactions_of(z.x.petsc_vec)
-    by_radius = contact.face.radial_parts(by_x - jump.of_displacement(z))
+    by_radius = linearised.face.radial_parts(by_x - jump.of_displacement(z))
     derivatives = DataVector(load, np.append(y, by_radius))
     by_controls = []
     for control in controls:
@@ -336,7 +336,7 @@ def explicit_rate(
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)
         return float(sum(data.derivative(goal, *pair) for pair in pairs))
-    value = partial(value_of, goal, data.contact.multipliers)
+    value = partial(value_of, goal, data.linearised.multipliers)
     return float(sum(sides.rate(value) for sides in change.jump_differences))
 
 
@@ -436,23 +436,22 @@ def tangent_of(
 
     Each node keeps its contact state; see `linearised` for the equations.
     """
-    contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
-    x, linear = contact.multipliers, jump.system
+    linearised, dual, jump = data.linearised, data.linearised.dual, data.linearised.dual.jump
+    x, linear = linearised.multipliers, jump.system
     change = data.change(controls, directions)
     offset, radius = np.split(change.laws, [len(x)])
     pull = linear.forces_of(change.load[linear.prescribed]).array
     free_load = change.load - np.where(linear.prescribed, 0.0, pull)
-    du, dx = contact.tangent(free_load, offset, radius)
+    du, dx = linearised.tangent(free_load, offset, radius)
     jump_change = jump.of_displacement(du)
     # gap and slip count from the offsets
-    slip = (jump_change - offset) * jump.length_scale
-    stress = dx * jump.stress_scale
+    slip, stress = (jump_change - offset) * jump.length_scale, dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
         goal = data.checked_goal(goal)
         explicit = explicit_rate(data, goal, controls, directions, change)
         if isinstance(goal, ufl.Form):
-            return explicit + float(data.derivative(goal, contact.u, du))
+            return explicit + float(data.derivative(goal, linearised.u, du))
         by_jump, by_x = derivatives_of(goal, jump, x)
         return explicit + float(dual.inner(by_jump, jump_change) + dual.inner(by_x, dx))
 
@@ -465,7 +464,7 @@ def tangent_of(
         return np.concatenate(by_pair, axis=1)
 
     def present(side: JumpOperator, _: Array) -> Array:
-        return vectors(side, x * side.stress_scale, -contact.gradient * side.length_scale)
+        return vectors(side, x * side.stress_scale, -linearised.gradient * side.length_scale)
 
     changes = vectors(jump, stress, slip)
     for sides in change.jump_differences:

@@ -42,7 +42,7 @@ class _Recorded:
         laws: `ContactSystem.law_values` of the step.
     """
 
-    contact: LinearisedContact
+    linearised: LinearisedContact
     obstacle_moves: bool
     values: Sequence[Array]
     curves: Sequence[CurveAtNodes]
@@ -120,7 +120,7 @@ class ProcessTape:
         # without the sum of slips at all nodes, which takes as much memory as u
         dual = copy(step.dual)
         dual.history = replace(dual.history, slipped=())
-        solution = LinearisedContact(dual, step.multipliers, step.fields.u, contact.slip_bounds())
+        linearised = LinearisedContact(dual, step.multipliers, step.fields.u, contact.slip_bounds())
         yield
         self._history = contact.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
@@ -129,7 +129,7 @@ class ProcessTape:
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
         moves = bool(step.obstacle_moves.any())
-        self._steps.append(_Recorded(solution, moves, values, step.curves, step.inputs[1:]))
+        self._steps.append(_Recorded(linearised, moves, values, step.curves, step.inputs[1:]))
 
     @collective(comm_of_self)
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
@@ -188,7 +188,7 @@ class ProcessTape:
         data = DataOfSolution(contact, self._residual_at(u), u, in_all_steps=True)
         goals_of_step = self._checked_goals(goals, data)
         data.check_controls(controls)
-        if any(step.contact.dual.compliance is not contact.compliance for step in self._steps):
+        if any(step.linearised.dual.compliance is not contact.compliance for step in self._steps):
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
@@ -201,7 +201,7 @@ class ProcessTape:
             step, weighted = self._steps[number], goals_of_step.get(number, [])
             with replaced(self._inputs, step.values):
                 self._check_laws(step, number)
-                data.linearise(step.contact)
+                data.linearise(step.linearised)
                 result[number], on_origin = gradient(data, weighted, controls, on_origin)
         return result
 
@@ -223,7 +223,7 @@ class ProcessTape:
                 "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
                 "before they are moved, or move them back."
             )
-        slips = bool(steps) and bool(steps[0].contact.dual.history.origin.any())
+        slips = bool(steps) and bool(steps[0].linearised.dual.history.origin.any())
         obstacle_moves = any(step.obstacle_moves for step in steps)
         unknown = contact.comm.allreduce(slips or obstacle_moves, op=MPI.LOR)
         for control in controls:

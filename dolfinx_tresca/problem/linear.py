@@ -271,8 +271,8 @@ class ContactProblem(ContactProcess):
         dual, fields = solved.dual, solved.fields
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
         # no data change, so slip bounds are not asked for
-        contact = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
-        return goal_error(goal, contact, fields.u, energy_error)
+        linearised = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
+        return goal_error(goal, linearised, fields.u, energy_error)
 
     @collective(comm_of_self)
     def guaranteed_error(self, *, gain: float = GAIN) -> GuaranteedError:

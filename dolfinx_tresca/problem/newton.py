@@ -254,7 +254,7 @@ class Newton:
 
     Attributes:
         options: options of Newton's method.
-        contact: options of the contact algorithm.
+        contact_options: options of the contact algorithm.
         start: values of u at which the solve starts.
         fraction: part of the change of load that has been applied.
         solution: the solution for `fraction` of the change of load; if no part was solved, the
@@ -270,7 +270,7 @@ class Newton:
 
     problem: TangentProblem
     options: NewtonOptions
-    contact: SolverOptions
+    contact_options: SolverOptions
     units: Units | None
     observe: Callable[[Iteration], bool]
     level: int
@@ -395,7 +395,7 @@ class Newton:
             excess = 1.0 if reached else residual / self.options.accuracy
             if self._sliding is not None:
                 self._sliding.observe(problem.displacement)
-                excess = max(excess, self._sliding.error / self.contact.geometry_accuracy)
+                excess = max(excess, self._sliding.error / self.contact_options.geometry_accuracy)
             if reached and excess <= 1.0:
                 return ""
             errors.append(excess)
@@ -481,8 +481,8 @@ class Newton:
                 self.problem.factor(*ADDED[level])
                 # in the Newton residual, the contact residual is multiplied by the added stiffness
                 forcing = FORCING if level > 0 else 1.0
-                options = self.contact.at_least(self.options.accuracy * forcing)
-                return self.problem.solve(options, self.units, self._observed, self.contact)
+                options = self.contact_options.at_least(self.options.accuracy * forcing)
+                return self.problem.solve(options, self.units, self._observed, self.contact_options)
             except StiffnessError as error:
                 failure = error
         if failure.evidence:
