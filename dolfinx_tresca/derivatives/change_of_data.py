@@ -129,7 +129,7 @@ class JumpDifferences:
 
 
 def jump_differences(
-    system: ContactSystem,
+    contact: ContactSystem,
     linearised: LinearisedContact,
     constant: fem.Constant,
     direction: Array,
@@ -142,17 +142,17 @@ def jump_differences(
     same vector at each node, whose components change with the tangents. The result is None if no
     obstacle moves along its normals.
     """
-    obstacles, jump = system.obstacles, system.jump
+    obstacles, jump = contact.obstacles, contact.jump
     rates = obstacles.rates(constant, direction, jump)
     moves = rates > 0.0
     if not moves.any():
         return None
     origin: Array = np.zeros(len(jump.gap))
     if not in_all_steps:
-        solved = system.solution_for("a derivative")
+        solved = contact.solution_for("a derivative")
         origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
-        for pair, moving, rows in zip(system.pairs, in_step, jump.own_rows, strict=True):
-            if moving and system.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
+        for pair, moving, rows in zip(contact.pairs, in_step, jump.own_rows, strict=True):
+            if moving and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."
@@ -162,7 +162,7 @@ def jump_differences(
     sides = []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
-            displaced = displaced_jump(jump, system.pairs, system.state.geometry, moves)
+            displaced = displaced_jump(jump, contact.pairs, contact.state.geometry, moves)
         sides.append(displaced.along_axes(linearised.bounds))
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
@@ -172,7 +172,7 @@ def jump_differences(
         for side in sides
         for displaced, pair in zip(side.pairs, jump.pairs, strict=True)
     )
-    if not system.comm.allreduce(same, op=MPI.LAND):
+    if not contact.comm.allreduce(same, op=MPI.LAND):
         raise InputError(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
             "no derivative with respect to its place. Compare two solutions."
@@ -205,16 +205,16 @@ class DataOfSolution:
     """
 
     def __init__(
-        self, system: ContactSystem, residual: Any, u: fem.Function, *, in_all_steps: bool = False
+        self, contact: ContactSystem, residual: Any, u: fem.Function, *, in_all_steps: bool = False
     ) -> None:
         """Keep what data depend on. Collective.
 
         The `residual` is internal minus external forces at u, a form of rank 1; `linearise` gives u
         the values of a solution. `jump_differences` explains `in_all_steps`.
         """
-        self.system, self.u, self.comm = system, u, system.comm
+        self.contact, self.u, self.comm = contact, u, contact.comm
         self._residual, self._in_all_steps = residual, in_all_steps
-        self._values = system.friction.values
+        self._values = contact.friction.values
         self._z = fem.Function(u.function_space, name="adjoint")
         self._work = ufl.action(residual, self._z)
         self._compiled: dict[Any, Any] = {}
@@ -234,7 +234,7 @@ class DataOfSolution:
         for control in controls:
             kinds = fem.Constant | fem.Function
             check_type("a control", control, kinds, "a fem.Constant or a fem.Function")
-            for pair in self.system.pairs:
+            for pair in self.contact.pairs:
                 terms = pair.friction.terms
                 bounds = [getattr(terms, name) for name in TERMS]
                 axes = [bound for bound in bounds if isinstance(bound, tuple)]
@@ -244,7 +244,7 @@ class DataOfSolution:
                         "not known, since it is part of the direction or the two bounds of "
                         "orthotropic friction. Compare two solutions."
                     )
-            self.system.obstacles.rates(control, None, self.system.jump)
+            self.contact.obstacles.rates(control, None, self.contact.jump)
 
     def checked_goal(self, goal: Any) -> Goal | ufl.Form:
         """Check a goal that is to be differentiated, and return it. Not collective.
@@ -253,10 +253,10 @@ class DataOfSolution:
         """
         if not isinstance(goal, ufl.Form):
             dim = self.u.function_space.mesh.geometry.dim
-            return checked_goal(goal, len(self.system.pairs), dim)
+            return checked_goal(goal, len(self.contact.pairs), dim)
         if goal.arguments():
             raise InputError("the goal is a form with arguments: a number is a form of rank 0.")
-        present = self.system.unknowns
+        present = self.contact.unknowns
         return goal if present is None else ufl.replace(goal, {present: self.u})
 
     def linearise(self, linearised: LinearisedContact) -> None:
@@ -264,15 +264,15 @@ class DataOfSolution:
         self.linearised = linearised
         if self.u is not linearised.u:
             self.u.x.array[:] = linearised.u.x.array
-        self._fields = nodal_fields(linearised, self.system.pairs)
+        self._fields = nodal_fields(linearised, self.contact.pairs)
 
     def change(self, controls: Sequence[Control], directions: Sequence[Any]) -> DataVector:
         """Return the change of the data along a direction of controls. Collective.
 
         The direction of a Constant is an array, that of a Function is a Function.
         """
-        system, linearised, prescribed = self.system, self.linearised, self.system.linear.prescribed
-        jump, x = linearised.dual.jump, linearised.multipliers
+        contact, prescribed = self.contact, self.contact.linear.prescribed
+        linearised, x = self.linearised, self.linearised.multipliers
         forces, values = np.zeros((2, len(prescribed)))
         laws = np.zeros(len(x) + len(linearised.face.discs.radius))
         differences: list[JumpDifferences] = []
@@ -280,7 +280,7 @@ class DataOfSolution:
         def laws_on(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
             """Return the offsets and the radii with the rows of another B."""
             radius = side.bounded(linearised.bounds).section(x).radius
-            offset = side.gap - jump_of_u + Carry(jump, side).jumps(origin)
+            offset = side.gap - jump_of_u + Carry(linearised.dual.jump, side).jumps(origin)
             return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
 
         for control, direction in zip(controls, directions, strict=True):
@@ -294,7 +294,7 @@ class DataOfSolution:
                     laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
-            sides = jump_differences(system, linearised, control, direction, self._in_all_steps)
+            sides = jump_differences(contact, linearised, control, direction, self._in_all_steps)
             if sides is not None:
                 differences.append(sides)
                 forces -= sides.rate(lambda side, _: np.array(side.whole_force(x).array))
@@ -306,7 +306,7 @@ class DataOfSolution:
 
         Collective. The other `derivatives` are those with respect to the data.
         """
-        prescribed = self.system.linear.prescribed
+        prescribed = self.contact.linear.prescribed
         self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
         self._z.x.scatter_forward()
         by_prescribed = dolfinx.la.vector(control.x.index_map, control.x.block_size)
@@ -336,7 +336,7 @@ class DataOfSolution:
         ends = np.zeros((2, len(self.u.x.array)))
         for prescribed, given in zip(ends, (values, np.zeros_like(values)), strict=True):
             with replaced([control], [given]):
-                for bc in self.system.linear.bcs:
+                for bc in self.contact.linear.bcs:
                     bc.set(prescribed)
         return np.asarray(ends[0] - ends[1])[: owned_size(self.u)]
 
@@ -360,7 +360,7 @@ class DataOfSolution:
                 along = fem.Constant(mesh, np.zeros(control.ufl_shape))
                 factor = ufl.variable(fem.Constant(mesh, 0.0))
                 change = ufl.diff(ufl.replace(form, {control: control + factor * along}), factor)
-            compiled = fem.form(change, entity_maps=self.system.linear.entity_maps)
+            compiled = fem.form(change, entity_maps=self.contact.linear.entity_maps)
             self._compiled[key] = form, compiled, along  # keeping `form` keeps its id valid
         _, compiled, along = self._compiled[key]
         if direction is not None:
@@ -372,7 +372,7 @@ class DataOfSolution:
         return np.asarray(vector.array[: vector.index_map.size_local * vector.block_size])
 
 
-def inputs_of_problem(system: ContactSystem) -> list[Any]:
+def inputs_of_problem(contact: ContactSystem) -> list[Any]:
     """Return all Constants and Functions on which solutions depend, each once.
 
     Those that users' functions of pressure or slip read are found in the functions' closures. What
@@ -380,14 +380,14 @@ def inputs_of_problem(system: ContactSystem) -> list[Any]:
     DOLFINx; `values_of` accepts them, too.
     """
     inputs: list[Any] = []
-    for form in system.linear.ufl_forms:
+    for form in contact.linear.ufl_forms:
         if form is not None:
             inputs += [*form.coefficients(), *form.constants()]
-    for pair in system.pairs:
+    for pair in contact.pairs:
         terms = pair.friction.terms
         functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
         inputs += inputs_of((pair.gap, *[getattr(terms, name) for name in TERMS], *functions))
-    inputs += [bc.g for bc in system.linear.bcs]
+    inputs += [bc.g for bc in contact.linear.bcs]
     return list(dict.fromkeys(inputs))
 
 
