@@ -54,11 +54,11 @@ class Lift:
         self._K, self._B = K, B
         (self._w, self._jump), (self._Kw, self._multipliers) = B.createVecs(), B.createVecs()
 
-    def energy_norm(self, jump: Array) -> float:
-        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective."""
+    def energy_norm(self, jumps: Array) -> float:
+        """Return |w|_K [energy^(1/2)] for jumps (size,); infinite if no w has them. Collective."""
         if self._solver is None:
             return np.inf
-        self._jump.array = jump
+        self._jump.array = jumps
         w = self._lift(self._solver)
         self._B.mult(w, self._multipliers)
         self._multipliers.axpy(-1.0, self._jump)

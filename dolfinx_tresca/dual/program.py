@@ -229,9 +229,9 @@ class DualProgram:
         Rigid displacements of bodies on soft springs are left out. The first call may need a solve
         with K, if forces act and displacements are prescribed. Collective.
         """
-        energy, jump = self._load_terms
+        energy, jump_of_forces = self._load_terms
         # u = K^-1 f - K^-1 B'x: |u|^2 = f'K^-1 f - 2 x'B K^-1 f + x'A x, where A x = r + b
-        square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
+        square = energy + float(self.inner(x, r + self.b - 2.0 * jump_of_forces))
         # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
@@ -257,15 +257,15 @@ class DualProgram:
         energy = 2.0 * system.strain_energy(u)
         if springs is not None:
             energy += springs.energy(u)
-        jump = self.b + self.offset
+        jump_of_forces = self.b + self.offset
         prescribed_values = system.f.x.array[: len(system.moves)][~system.moves]
         if system.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR):
             forces = system.assemble_forces()
             u.set(0.0)
             if forces.x.petsc_vec.norm() > 0.0:
                 self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
-            jump = self.jump.of_unknowns(u)
-        return max(energy, 0.0), jump  # the energy of a rigid motion is rounding
+            jump_of_forces = self.jump.of_unknowns(u)
+        return max(energy, 0.0), jump_of_forces  # the energy of a rigid motion is rounding
 
     def section_at(self, x: Array, r: Array) -> FeasibleSet:
         """Return Lambda with the slip bounds at the pressures and slips of a point."""

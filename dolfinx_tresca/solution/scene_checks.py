@@ -277,14 +277,14 @@ def hint_at_overlap(
         )
 
 
-def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: float) -> None:
+def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, eigenvalue: float) -> None:
     """Log a warning if slip bounds decrease with pressure or slip. Collective.
 
     With such bounds there may be several solutions. A decrease with the slip is harmless if its
     rate is less than 1 divided by the largest eigenvalue of A, both at the present slip and on
     average from zero to it: this is the least traction that elastic bodies need for one more unit
     of slip. The cones have the bounds F(p, v) p at the slips of a solution, with multipliers x
-    (size,), and `compliance` is this eigenvalue, or a lower bound.
+    (size,), and `eigenvalue` is that of A, or a lower bound.
     """
     section = cones.section(x)
     face = section.face(2.0 * x)  # nodes on their circles slip
@@ -294,7 +294,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     mean = np.zeros_like(by_slip)
     np.divide(section.radius - at_rest, cones.slip, out=mean, where=slips)
     steepest = min(by_slip.min(initial=0.0), mean.min(initial=0.0))
-    least = [by_pressure.min(initial=0.0), compliance * steepest]
+    least = [by_pressure.min(initial=0.0), eigenvalue * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
     if falling < 0.0:
         warn(
