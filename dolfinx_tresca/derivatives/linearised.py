@@ -166,6 +166,7 @@ class LinearisedContact:
         store = dual.compliance.known_products()
         model = store.model()
         maps = self._maps(model.diagonal, transpose)
+        # norms of residuals weigh each row by the inverse of the model's diagonal
         weight = 1.0 / (model.diagonal + curvature)
         root = np.sqrt(weight)
         residual = right = maps.test @ (jump_at_start - offset)
@@ -198,7 +199,7 @@ class LinearisedContact:
             if count == 0:
                 # whole, since this step alone changes G'y + S c, by what is missing
                 wanted_length, missing = accuracy * length, np.zeros_like(missing)
-            else:
+            else:  # orthogonal to earlier images, and of length 1
                 norm_before = norm(dual, root * image)
                 overlaps = dual.inner(images, weight * image)
                 image = image - images @ overlaps

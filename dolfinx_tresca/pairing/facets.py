@@ -333,11 +333,11 @@ class SurfaceNodes:
         weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
         order = np.lexsort((weights, node_of_patch))
         weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
-        position = np.argsort(order)[patch].reshape(-1, corners)
+        position = np.argsort(order)[patch].reshape(-1, corners)  # entry of each facet's corners
         vectors, lengths = np.zeros((len(numbers), 3)), np.zeros(len(numbers))
         np.add.at(vectors, position, spread[:, :, None] * normals)
         np.add.at(lengths, position, spread)
-        corner = np.unique(position, return_index=True)[1]
+        corner = np.unique(position, return_index=True)[1]  # one of those at each entry
         points = facets.points[:, :corners].reshape(-1, 3)[corner]
         free = facets.free.reshape(-1, facets.free.shape[2])[corner]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
