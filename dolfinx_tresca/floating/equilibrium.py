@@ -265,7 +265,7 @@ class FloatingBodies:
             columns=csr_array(self.jumps @ by_factor),
             softness=csr_array(by_factor @ self.stiffness @ by_factor),
             values=factors * resultants,
-            sizes=_largest_of_group(own_terms, group[bodies]),
+            term_sums=_largest_of_group(own_terms, group[bodies]),
             reductions=reductions,
         )
         return Equilibrium(self._balanced(constraints, factors, feasible_set), self, factors)
@@ -312,7 +312,7 @@ class FloatingBodies:
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if balanced.satisfied:
             return constraints
-        most = 1e-8 * np.maximum(constraints.sizes, np.abs(constraints.values))
+        most = 1e-8 * np.maximum(constraints.term_sums, np.abs(constraints.values))
         if balanced.unbounded or (np.abs(balanced.excess) > most).any():  # more than rounding
             motion = factors * balanced.shift
             raise MechanismError(

@@ -273,6 +273,7 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
     cell, sides = kinds[0].name, len(kinds)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
     place = (of_cell[cells] == facets[:, None]).argmax(axis=1)
+    # the nodes of each side of a cell, as places in the list of the cell's nodes
     closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)]
     corners = len(basix.topology(kinds[0])[0])
 
