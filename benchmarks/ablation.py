@@ -326,7 +326,7 @@ def unbalanced(constraints: Any, cones: Any, *arguments: Any, **start: Any) -> B
 
 def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> Any:
     """Begin at zero."""
-    return begin_at(state, np.zeros_like(start))
+    return choose_start(state, np.zeros_like(start))
 
 
 def on_face_with_given_bounds(
@@ -337,7 +337,7 @@ def on_face_with_given_bounds(
 
 
 on_face = products.NodalMaps.on_face
-append, begin_at = products.ProductStore._append, iteration.ModelNewton.begin_at
+append, choose_start = products.ProductStore._append, iteration.ModelNewton.choose_start
 make_store = products.ProductStore.__init__
 ITERATE, NEWTON, STORE = iteration.Iterate, iteration.ModelNewton, products.ProductStore
 
@@ -361,7 +361,7 @@ PARTS: dict[str, Patches] = {
     "refined gradients": [(ITERATE, "refine", lambda self, accuracy: None)],
     "kept products": [(STORE, "drop_inaccurate_pairs", no_lasting_pairs)],
     "inaccurate pairs dropped": [(products, "LASTING_ERROR", math.inf)],
-    "start at the last multipliers": [(NEWTON, "begin_at", from_zero)],
+    "start at the last multipliers": [(NEWTON, "choose_start", from_zero)],
     "balanced initial multipliers": [(iteration, "balance", unbalanced)],
     "initial motions of floating bodies": [
         (NEWTON, "find_constraint_multipliers", lambda self: None)

@@ -82,8 +82,7 @@ class SolverOptions:
     def __post_init__(self) -> None:
         """Check every value."""
         check_word("method", self.method, get_args(Method))
-        iterations = checked_integer("max_iterations", self.max_iterations)
-        object.__setattr__(self, "max_iterations", iterations)
+        vars(self).update(max_iterations=checked_integer("max_iterations", self.max_iterations))
         names = ["local_accuracy", "mesh_part", "r_tol", "c_fact", "geometry_accuracy"]
         names += [] if self.accuracy == "balanced" else ["accuracy"]
         intervals = dict.fromkeys(names, "(0, 1)")
@@ -93,7 +92,7 @@ class SolverOptions:
             converges_always = self.method in ("projected_newton", "gimssn")
             intervals["rho_sigma"] = "(0, 2)" if converges_always else "(0, inf)"
         for name, interval in intervals.items():
-            object.__setattr__(self, name, checked_number(name, getattr(self, name), interval))
+            vars(self)[name] = checked_number(name, getattr(self, name), interval)
 
     def with_changes(self, **changes: Any) -> SolverOptions:
         """Return a copy with new values of the named options; values None are ignored.

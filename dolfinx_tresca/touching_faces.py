@@ -189,7 +189,7 @@ def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
     outside = dolfinx.mesh.exterior_facet_indices(mesh.topology)
     owned = mesh.topology.index_map(dim).size_local
     result: dict[int, _Face] = {}
-    several = []
+    shared_tags = []
     for tag in sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist())))):
         facets = facet_tags.find(tag)
         facets = facets[facets < owned]
@@ -203,7 +203,7 @@ def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
         if number and not inside and len(bodies) == 1:
             result[tag] = _Face(bodies.pop(), np.vstack([low, -high]), length / number)
         elif len(bodies) > 1:
-            several.append(str(tag))
-    if several:
-        log(comm, "contacts: tags %s, of several bodies, are left out", ", ".join(several))
+            shared_tags.append(str(tag))
+    if shared_tags:
+        log(comm, "contacts: tags %s, of several bodies, are left out", ", ".join(shared_tags))
     return result

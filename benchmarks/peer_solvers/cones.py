@@ -88,7 +88,7 @@ def dual(scene: Any, tolerance: float, solver: str) -> Answer:
             primal_wanted=True,
         )
         u = problem.jump.system.f.x.petsc_vec.duplicate()
-        problem.end_at(x, u)
+        problem.compute_displacement(x, u)
         u.destroy()
         work = {"iterations": iterations, "products": bounds.size, "factorisations": 1}
         return Answer(x, work, status)

@@ -111,5 +111,5 @@ def _work(dual: Any, iterations: int) -> dict[str, int]:
 def _displacement(dual: Any, x: np.ndarray) -> None:
     """Compute the displacement, which belongs to the answer that a user wants."""
     u = dual.jump.system.f.x.petsc_vec.duplicate()
-    dual.end_at(x, u)
+    dual.compute_displacement(x, u)
     u.destroy()

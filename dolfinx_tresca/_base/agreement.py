@@ -29,7 +29,7 @@ _comms: list[MPI.Comm] = []
 
 
 def collective(
-    comm: Callable[[Mapping[str, Any]], MPI.Comm | None],
+    find_comm: Callable[[Mapping[str, Any]], MPI.Comm | None],
     *,
     ignored: Sequence[str] = (),
     extra_values: Callable[[Any], Mapping[str, Any]] | None = None,
@@ -42,8 +42,8 @@ def collective(
     them with the processes of its last collective call.
 
     Args:
-        comm: function from a mapping name -> argument to the communicator, or to None if no
-            argument has a communicator; the body must then raise an error.
+        find_comm: function from a mapping name -> argument to the communicator, or to None if
+            no argument has a communicator; the body must then raise an error.
         ignored: names of arguments that may differ between the ranks.
         extra_values: function from `self` to a mapping name -> further value that must agree.
     """
@@ -53,9 +53,9 @@ def collective(
 
         @functools.wraps(function)
         def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-            ranks = comm(dict(zip(signature.parameters, args, strict=False)) | kwargs)
-            if ranks is None and _comms:
-                ranks = _comms[-1]
+            comm = find_comm(dict(zip(signature.parameters, args, strict=False)) | kwargs)
+            if comm is None and _comms:
+                comm = _comms[-1]
 
             def values() -> dict[str, Any]:
                 bound = signature.bind(*args, **kwargs)
@@ -65,8 +65,8 @@ def collective(
                 compared = [name for name in given if name not in ("self", *ignored)]
                 return {**extra, **{name: given[name] for name in compared}}
 
-            if ranks is not None and ranks.size > 1:
-                check_agreement(ranks, function.__qualname__, values)
+            if comm is not None and comm.size > 1:
+                check_agreement(comm, function.__qualname__, values)
             return function(*args, **kwargs)
 
         return call
@@ -109,7 +109,7 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
     """
     results: list[_T] = []
 
-    def no_values() -> dict[str, Any]:
+    def no_values() -> dict[str, Any]:  # calls the function where ranks compare their calls
         results.append(function())
         return {}
 

@@ -48,14 +48,14 @@ def real_array(value: npt.ArrayLike) -> Array:
     return array.astype(np.float64)
 
 
-def checked_vector(name: str, value: Any, *sizes: int, nonzero: bool = False) -> Array:
-    """Return a vector of finite numbers with one of the sizes; raise an InputError for others."""
+def checked_vector(name: str, value: Any, *counts: int, nonzero: bool = False) -> Array:
+    """Return a vector of finite numbers, as many as one of the counts; else raise an InputError."""
     try:
         vector = real_array(value)
     except (TypeError, ValueError):
         vector = np.full(1, np.nan)
-    if vector.ndim != 1 or len(vector) not in sizes or not np.isfinite(vector).all():
-        numbers = " or ".join(map(str, sizes))
+    if vector.ndim != 1 or len(vector) not in counts or not np.isfinite(vector).all():
+        numbers = " or ".join(map(str, counts))
         raise InputError(f"{name} must be {numbers} finite numbers, found {shown(value)}.")
     if nonzero and not vector.any():
         raise InputError(f"{name} must have a direction, found {shown(value)}.")

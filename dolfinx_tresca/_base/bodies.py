@@ -33,31 +33,32 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     cell = np.repeat(np.arange(node_count, node_count + len(cells)), cells.shape[1])
     shape = (node_count + len(cells),) * 2
     graph = coo_array((np.ones(cells.size, np.int8), (cells.ravel(), cell)), shape=shape)
-    local = connected_components(graph, directed=False)[1][:node_count]
+    fragment = connected_components(graph, directed=False)[1][:node_count]
 
-    # Parts on two ranks belong to one body if a node of one part is a ghost in the other part.
-    sizes = comm.allgather(int(local.max(initial=-1)) + 1)
-    local = local + sum(sizes[: comm.rank])
+    # Fragments on two ranks belong to one body if a node of one is a ghost in the other. They get
+    # numbers over all ranks, and nodes that of the fragment on the rank that owns them (`label`).
+    counts = comm.allgather(int(fragment.max(initial=-1)) + 1)
+    fragment = fragment + sum(counts[: comm.rank])
     label = la.vector(nodes, 1, np.float64)
-    label.array[:] = local
+    label.array[:] = fragment
     label.scatter_forward()
-    links = gather_rows(comm, np.unique(np.column_stack([local, label.array.astype(int)]), axis=0))
-    total = sum(sizes)
+    links = np.unique(np.column_stack([fragment, label.array.astype(int)]), axis=0)
+    links, total = gather_rows(comm, links), sum(counts)
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
-    _, merged = connected_components(graph, directed=False)
-    body, count = merged[local], int(merged.max(initial=-1)) + 1
+    _, body_of_fragment = connected_components(graph, directed=False)
+    body, count = body_of_fragment[fragment], int(body_of_fragment.max(initial=-1)) + 1
 
     bounds = _extremes(comm, body, count, V.tabulate_dof_coordinates())
     in_file = np.asarray(mesh.geometry.input_global_indices)[geometry_dofmap(mesh)]
-    body_of_cell = body[cells[: len(in_file), 0]]
-    in_file = _extremes(comm, body_of_cell, count, in_file.min(axis=1, keepdims=True))[:, 0]
-    # steps between sorted coordinates that are rounding do not count
+    body_of_cell, least = body[cells[: len(in_file), 0]], in_file.min(axis=1, keepdims=True)
+    least_in_file = _extremes(comm, body_of_cell, count, least)[:, 0]
+    # places of coordinates among the sorted ones; steps that are rounding do not count
     places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
     for place, values in zip(places.T, bounds.T, strict=True):
         ascending = np.argsort(values)
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
         place[ascending] = np.cumsum(steps > rounding)
-    place_of_body = np.argsort(np.lexsort([in_file, *places.T[::-1]]))
+    place_of_body = np.argsort(np.lexsort([least_in_file, *places.T[::-1]]))
     return np.asarray(place_of_body[body])
 
 
@@ -66,6 +67,7 @@ def labels_of(
 ) -> npt.NDArray[np.int64]:
     """Return labels (n,) of nodes by global numbers, from those of owned nodes. Collective."""
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
+    # ask the ranks that own the numbers, and send the answers back
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
     return np.asarray(exchange(comm, label[asked - start], source)[0])
@@ -89,7 +91,7 @@ class Bodies:
         tag_names: for each body the name of the tag that all its cells have; "" if there is none.
         label: (owned nodes of V,) the body of each node, in 0, ..., count - 1.
         bounds: (count, 6) bounding box of each body: least x, y, z, then largest [length].
-        nodes: (count,) number of nodes of V in each body.
+        node_counts: (count,) number of nodes of V in each body.
         arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
             body, divided by the length of the box's diagonal.
     """
@@ -98,7 +100,7 @@ class Bodies:
     tag_names: tuple[str, ...]
     label: npt.NDArray[np.int64]
     bounds: Array
-    nodes: npt.NDArray[np.int64]
+    node_counts: npt.NDArray[np.int64]
     arm: Array
 
     @classmethod
@@ -110,11 +112,11 @@ class Bodies:
         tag_names = _tag_names(V, label, count, cell_tags)
         label = label[: V.dofmap.index_map.size_local]
         centre = 0.5 * (bounds[:, :3] + bounds[:, 3:])
-        size = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
+        diagonal = np.linalg.norm(bounds[:, 3:] - bounds[:, :3], axis=1)
         # scaled coordinates, for rotations of each body
-        arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / size[label, None]
-        nodes = reduce_array(V.mesh.comm, np.bincount(label, minlength=count))
-        return cls(int(count), tag_names, label, bounds, nodes, arm)
+        arm = (V.tabulate_dof_coordinates()[: len(label)] - centre[label]) / diagonal[label, None]
+        node_counts = reduce_array(V.mesh.comm, np.bincount(label, minlength=count))
+        return cls(int(count), tag_names, label, bounds, node_counts, arm)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -142,10 +144,10 @@ class Bodies:
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
         """Return number, name and box of a body, and the names of its companions, in words."""
         box = self.bounds[index]
-        size = float(np.linalg.norm(box[3:] - box[:3]))
+        diagonal = float(np.linalg.norm(box[3:] - box[:3]))
         tags = [f" ({name})" if name else "" for name in self.tag_names]
         text = f"body {index + 1} of {self.count}{tags[index]}, between "
-        text += f"{_point(box[:3], size)} and {_point(box[3:], size)}"
+        text += f"{_point(box[:3], diagonal)} and {_point(box[3:], diagonal)}"
         if companions:
             named = companions[:6]  # of walls of bricks there are many
             names = ", ".join(f"{k + 1}{tags[k]}" for k in named)
@@ -159,6 +161,7 @@ def _tag_names(V: Any, body: npt.NDArray[np.int64], count: int, cell_tags: Any) 
     """Return for each body the name of the tag that all its cells have, else "". Collective."""
     if cell_tags is None:
         return ("",) * count
+    # the least and the largest tag of a body's cells differ if they have several, or none
     body_of_cell = body[V.dofmap.list[:, 0]]
     tag = np.full((len(body_of_cell), 1), np.inf)
     tag[cell_tags.indices, 0] = cell_tags.values
@@ -168,7 +171,7 @@ def _tag_names(V: Any, body: npt.NDArray[np.int64], count: int, cell_tags: Any) 
     )
 
 
-def _point(x: Array, size: float) -> str:
-    """Return coordinates as text; rounding errors relative to a body's size become zero."""
-    shown = np.where(np.abs(x) > 1e-12 * size, x, 0.0)
+def _point(x: Array, diagonal: float) -> str:
+    """Return coordinates as text; rounding errors relative to a body's diagonal become zero."""
+    shown = np.where(np.abs(x) > 1e-12 * diagonal, x, 0.0)
     return "(" + ", ".join(f"{value:.3g}" for value in shown) + ")"

@@ -140,10 +140,10 @@ def reduce_array(comm: MPI.Comm, values: npt.ArrayLike, op: MPI.Op = MPI.SUM) ->
     return result
 
 
-def largest_sizes(comm: MPI.Comm, *arrays: npt.ArrayLike) -> list[float]:
+def largest_abs(comm: MPI.Comm, *arrays: npt.ArrayLike) -> list[float]:
     """Return the largest absolute value in each array over all ranks, 0 if empty. Collective."""
-    sizes = [float(np.abs(array).max(initial=0.0)) for array in arrays]
-    return [float(size) for size in reduce_array(comm, sizes, MPI.MAX)]
+    on_rank = [float(np.abs(array).max(initial=0.0)) for array in arrays]
+    return [float(value) for value in reduce_array(comm, on_rank, MPI.MAX)]
 
 
 @dataclass(frozen=True)

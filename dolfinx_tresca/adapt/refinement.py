@@ -87,7 +87,7 @@ def refine(
     largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
-    bisection = bisected(mesh, largest_part(comm, np.square(errors / largest), fraction))
+    bisection = bisected(mesh, cells_to_refine(comm, np.square(errors / largest), fraction))
     facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
@@ -221,8 +221,8 @@ def snapped(
             break
         held |= corners
         points = np.where(held[:, None], start, surface)
-    back = held & (surface != start).any(axis=1)
-    count = int(reduce_array(comm, back[: index_map.size_local].sum()))
+    not_moved = held & (surface != start).any(axis=1)
+    count = int(reduce_array(comm, not_moved[: index_map.size_local].sum()))
     if count:
         warn(
             comm,
@@ -233,7 +233,7 @@ def snapped(
     return np.asarray(points)
 
 
-def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
+def cells_to_refine(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
 
     This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
@@ -244,6 +244,7 @@ def largest_part(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     descending = np.sort(np.concatenate(comm.allgather(squares)))[::-1]
     sums = np.cumsum(descending)
     least = descending[np.argmax(sums * above >= fraction * sums[-1])]
+    # the cut is in the widest gap between errors that nearly equal the least marked one
     near = descending[(descending >= NEARLY * least) & (descending <= least * above)][::-1]
     below = np.append(NEARLY * least, near[:-1])
     gap = np.argmax(near / below)

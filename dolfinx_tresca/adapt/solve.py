@@ -235,6 +235,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
     for pair, operator in zip(problem.pairs, operators, strict=True):
         if pair.obstacle is not None:
             continue
+        # squared errors per area: means over the primary facets at each node
         ds = ufl.Measure("ds", domain=mesh, subdomain_data=pair.facet_tags)
         density, areas = (
             assembled(factor * node * ds(pair.primary), nodes)
@@ -372,13 +373,11 @@ def solve_adaptively(
                 checked_goal(goal, len(problem.pairs), problem.mesh.geometry.dim)
             if after is not None:
                 problem.continue_from(after)
-            mesh_part = options.mesh_part
-            if not problem.solves_exactly:
-                # The preconditioner depends on the number of ranks, and so do the error of the
-                # iteration and the cells to refine. (Of two bricks with multigrid, squared errors
-                # of cells on 1 and 2 ranks differed by 8e-2 with the part 0.3, by 1e-2 with 0.003
-                # and by 5e-5 with 3e-5; the widest gap of `NEARLY` is about 1e-2 there.)
-                mesh_part = min(mesh_part, 3e-5)
+            # The preconditioner depends on the number of ranks, and so do the error of the
+            # iteration and the cells to refine. (Of two bricks with multigrid, squared errors of
+            # cells on 1 and 2 ranks differed by 8e-2 with the part 0.3, by 1e-2 with 0.003 and by
+            # 5e-5 with 3e-5; the widest gap of `NEARLY` is about 1e-2 there.)
+            mesh_part = min(options.mesh_part, 1.0 if problem.solves_exactly else 3e-5)
             solution = problem.solve(accuracy="balanced", mesh_part=mesh_part)
             level = judged(len(levels), tagged_mesh, problem, solution, goal, start)
             log(comm, "%s", level)

@@ -16,16 +16,17 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Mask, real
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, log, timed, warn
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs, log, timed, warn
 from dolfinx_tresca._base.petsc import PetscOwner, destroyed_on_error, free_unused
 from dolfinx_tresca.contact.obstacles import Obstacles
 from dolfinx_tresca.contact.step_state import StepSolution, StepState
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.load_steps import SlipHistory, moved_jump
+from dolfinx_tresca.dual.load_steps import SlipHistory, displaced_jump
 from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.program import DualProgram, InitialGuess
 from dolfinx_tresca.dual.slip_bounds import NodalBounds, SlipBounds
 from dolfinx_tresca.errors import ContactError, InputError, MechanismError, PairingError
+from dolfinx_tresca.floating.equilibrium import Tools
 from dolfinx_tresca.floating.held_stiffness import HeldStiffness
 from dolfinx_tresca.monitor import Iteration
 from dolfinx_tresca.options import SolverOptions
@@ -64,6 +65,8 @@ class ContactSystem(PetscOwner):
         secondary: the secondary side of each pair.
         stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
         slides_far: whether at least one pair has finite sliding.
+        depends_on_start: whether the slip bound of a pair depends on the pressure, and a solution
+            maybe on where its solve starts.
         friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
             nodes of the displacement.
         guess: displacements of earlier solves with the present B, for first guesses of iterative
@@ -84,11 +87,10 @@ class ContactSystem(PetscOwner):
         self._noticed: set[scene_checks.Limit] = set()  # to which solutions have come near
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
-        # the slip bound of a pair depends on the pressure, unless its coefficient is zero
-        coefficients = [real(pair.friction.terms.coefficient) for pair in pairs]
-        self._depends_on_start = any(coefficient != 0.0 for coefficient in coefficients)
+        self.depends_on_start = any(real(pair.friction.terms.coefficient) != 0.0 for pair in pairs)
         self.unknowns: fem.Function | None = None
         self.timings: dict[str, float] = {}
+        # the bodies with the choice of the solver for K, and the obstacles
         V, prescribed = linear.V, linear.prescribed_displacements
         if linear.comm.rank == 0:
             warn_of_slow_blas()
@@ -97,6 +99,7 @@ class ContactSystem(PetscOwner):
         self.stiffness = HeldStiffness(linear, next(cell_tags, None), request)
         self.bodies = self.stiffness.bodies
         self.obstacles = Obstacles(V, pairs)
+        # the surfaces as they are paired in the undeformed bodies, and B
         with timed("pairing", self.timings):
             operators = pair_all_surfaces(V, prescribed, pairs, axisymmetric=linear.axisymmetric)
             self.secondary = Surface.of_pairs(fem.Function(V), pairs)
@@ -108,6 +111,7 @@ class ContactSystem(PetscOwner):
             self.guess = InitialGuess(np.zeros(len(linear.prescribed)))
             self.obstacles.note_pairing(self.jump)
             self._state = StepState.undeformed(self.jump, self.obstacles.motions)
+            # K is factored before the laws are checked, since it tells the rounding of pressures
             self.compliance = self._factored()
             with destroyed_on_error(self.compliance):
                 rounding = self.compliance.stress_rounding
@@ -145,9 +149,9 @@ class ContactSystem(PetscOwner):
     def added_gaps(self) -> list[Array]:
         """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective."""
         gaps = []
-        for pair, on_nodes in zip(self.pairs, self.jump.pairs, strict=True):
+        for pair, operators in zip(self.pairs, self.jump.pairs, strict=True):
             gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
-            gaps.append(self.friction.values.scalars_at(gap, on_nodes.nodes, name))
+            gaps.append(self.friction.values.values_at(gap, operators.nodes, name)[:, 0])
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
             gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
@@ -162,8 +166,8 @@ class ContactSystem(PetscOwner):
                         f"the gap of contact pair {pair} has values that are NaN or infinite. For "
                         "surfaces that cannot touch give no pair."
                     )
-        operators = zip(self.jump.pairs, gaps, strict=True)
-        self.jump.set_gaps([replace(on, added_gap=gap) for on, gap in operators])
+        pairs = zip(self.jump.pairs, gaps, strict=True)
+        self.jump.set_gaps([replace(operators, added_gap=gap) for operators, gap in pairs])
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
         """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective."""
@@ -196,21 +200,16 @@ class ContactSystem(PetscOwner):
         """Return to a former state; K and the user's obstacles stay as they are. Collective."""
         self.state = state
         if state.jump is not self.jump:
-            moved_to = self.obstacles.motions
+            present_motions = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
             self._replace_jump(jump, replace(state, jump=jump))
-            self.obstacles.place(moved_to)
+            self.obstacles.place(present_motions)
 
     def begin_solve(self) -> None:
         """Pair where obstacles have moved, and go to where the next solve starts. Collective."""
         self.pair_where_changed(self._state.accepted.configuration)
-        self.state = self.state_at_start
-
-    @property
-    def state_at_start(self) -> StepState:
-        """The state from which the next solve begins with the present pairing. Collective."""
-        return self.state.at_start(self._depends_on_start)
+        self.state = self.state.at_start(self.depends_on_start)
 
     def pair_where_changed(
         self, configuration: fem.Function | None = None, geometry: fem.Function | None = None
@@ -220,7 +219,7 @@ class ContactSystem(PetscOwner):
         Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
         stands for the present one. After a `PairingError` the surfaces stay as they were.
         """
-        state, moved, finite = self.state, self.record_motions(), self._finite_sliding
+        state, moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
         try:
@@ -229,7 +228,7 @@ class ContactSystem(PetscOwner):
                 (state.configuration, configuration, finite),
             ):
                 differs = not (u is before or np.array_equal(u.x.array, before.x.array))
-                self._pair_anew(u, pairs & (moved | self.comm.allreduce(differs, op=MPI.LOR)))
+                self._pair_anew(u, pairs & (moves | self.comm.allreduce(differs, op=MPI.LOR)))
         except PairingError:
             self.return_to(state)
             raise
@@ -272,7 +271,7 @@ class ContactSystem(PetscOwner):
             frames = self.jump.frames
             if since_accepted.any() and self.frames_at_rest is not None:
                 frames = self.frames_at_rest.moved_with(u)
-            jump = moved_jump(self.jump, self.pairs, u, anew, frames)
+            jump = displaced_jump(self.jump, self.pairs, u, anew, frames)
             self._replace_jump(jump, self._state.paired_at(jump, u, since_accepted))
 
     def _replace_jump(self, jump: JumpOperator, state: StepState) -> None:
@@ -289,8 +288,8 @@ class ContactSystem(PetscOwner):
         """Return the slip history whose origin moves with the obstacles. Collective."""
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
-        slips = np.where(self.jump.is_tangential, jumps, 0.0)
-        return replace(state.history, origin=state.history.origin + slips)
+        shift = np.where(self.jump.is_tangential, jumps, 0.0)
+        return replace(state.history, origin=state.history.origin + shift)
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return the gaps (pairs, owned nodes) [length], NaN without multipliers. Collective."""
@@ -443,20 +442,11 @@ class ContactSystem(PetscOwner):
             compliance, jump, state = self.compliance, self.jump, self.state
             products_before, krylov = compliance.products, compliance.solver.krylov_iterations
             history = self.history_of_solve()
-            moved = (state.accepted.motions != state.motions).any(axis=(1, 2))
+            obstacle_moves = (state.accepted.motions != state.motions).any(axis=(1, 2))
             tools = self.obstacles.tools(jump, self.bodies, state.history.begun)
             if tools is not None and options.method != "projected_newton":
                 raise InputError("forces on obstacles and bolts need method='projected_newton'.")
-            try:
-                dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
-            except MechanismError as error:
-                motion = with_owned_values(self.linear.V, error.motion, "motion")
-                (greatest,) = largest_sizes(self.comm, np.linalg.norm(owned_values(motion), axis=1))
-                motion.x.array[:] /= greatest or 1.0  # zero where tools move
-                error.motion = motion
-                raise
-            if dual.equilibrium is not None:
-                self._check_no_slip_dependence()
+            dual = self._program(bounds, history, tools)
         with timed("iteration", timings):
             dual_solution = solve(dual, state.multipliers, options, observe)
         with timed("fields", timings):
@@ -475,11 +465,10 @@ class ContactSystem(PetscOwner):
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
-        timings = dict(zip(timings, largest_sizes(self.comm, *timings.values()), strict=True))
+        timings = dict(zip(timings, largest_abs(self.comm, *timings.values()), strict=True))
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
-        solution = StepSolution(
-            status, dual, multipliers, evaluation, history, curves, inputs, moved, motions
-        )
+        results = status, dual, multipliers, evaluation, history, curves, inputs
+        solution = StepSolution(*results, obstacle_moves, motions)
         self.state = replace(state, multipliers=multipliers, solution=solution, pending=True)
         log(
             self.comm,
@@ -513,16 +502,28 @@ class ContactSystem(PetscOwner):
         for curve in arguments:
             self.friction.check_curve(*curve)
         scene_checks.hint_at_weakening(
-            self.comm, cones, x, dual.compliance.known_products().largest_ritz_value
+            self.comm, cones, x, dual.compliance.known_products().largest_eigenvalue_estimate
         )
         return arguments
 
-    def _check_no_slip_dependence(self) -> None:
-        """Check for floating bodies that no coefficient of friction depends on the slip.
+    def _program(
+        self, bounds: Sequence[NodalBounds], history: SlipHistory, tools: Tools | None
+    ) -> DualProgram:
+        """Return the dual problem, if a solve can find its multipliers. Collective.
 
-        For a block held by viscous friction alone, the solver found no multipliers within minutes.
+        A `MechanismError` gets the motion as a Function. Of floating bodies, no coefficient of
+        friction may depend on the slip: for a block held by viscous friction alone, the solver
+        found no multipliers within minutes.
         """
-        for pair in self.pairs:
+        try:
+            dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
+        except MechanismError as error:
+            motion = with_owned_values(self.linear.V, error.motion, "motion")
+            (greatest,) = largest_abs(self.comm, np.linalg.norm(owned_values(motion), axis=1))
+            motion.x.array[:] /= greatest or 1.0  # zero where tools move
+            error.motion = motion
+            raise
+        for pair in () if dual.equilibrium is None else self.pairs:
             curve = pair.friction.terms.curve
             if curve is not None and curve.depends_on_slip:
                 raise InputError(
@@ -530,6 +531,7 @@ class ContactSystem(PetscOwner):
                     "contact or soft springs hold a body, whose slip is not known in the "
                     "iteration. Hold it by Dirichlet conditions, such as a prescribed motion."
                 )
+        return dual
 
 
 def inputs_changed(purpose: str) -> ContactError:

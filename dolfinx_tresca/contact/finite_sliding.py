@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.errors import PairingError
 from dolfinx_tresca.monitor import Iteration
@@ -131,29 +131,30 @@ class FiniteSliding:
         rounding = contact.contact_forces(pressures)
         forces, gaps = contact.contact_forces(), contact.gaps_at_nodes(u)
         former = self._path[-1] if self._path else None
-        changed = forces if former is None else forces - former.forces
+        force_change = forces if former is None else forces - former.forces
         w = state.configuration.x.array.copy()
         residual = (u.x.array - w)[: len(contact.linear.prescribed_displacements)]
-        square, size, distance, rounding_square = reduce_array(
+        change_square, force_square, distance, rounding_square = reduce_array(
             contact.comm,
-            [float(values @ values) for values in (changed, forces, residual, rounding)],
+            [float(values @ values) for values in (force_change, forces, residual, rounding)],
         )
         former_distance = math.inf if former is None else former.distance
         self._grows = self._grows + 1 if distance > former_distance else 0
         before, self.change = self.change, math.inf
         if former is not None:
-            opened = np.nan_to_num(gaps - former.gaps)
+            gap_change = np.nan_to_num(gaps - former.gaps)
             before_step = state.accepted.displacement
             step = u.x.array - (0.0 if before_step is None else before_step.x.array)
-            largest, moved, displaced = largest_sizes(contact.comm, opened, step, u.x.array)
-            moved = max(moved, SMALL_STEP * displaced)
+            change, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
+            length = max(length, SMALL_STEP * displaced)
             resolution = ROUNDING * (contact.obstacles.extent + displaced)
             self.change = max(
-                _ratio(square, size, rounding_square), _ratio(largest**2, moved**2, resolution**2)
+                _root_of_ratio(change_square, force_square, rounding_square),
+                _root_of_ratio(change**2, length**2, resolution**2),
             )
         change, ratio = self.change, 0.5
         if math.isfinite(before) and before > 0.0:
-            least = min(LEAST_FRACTION, _ratio(distance, former_distance))
+            least = min(LEAST_FRACTION, _root_of_ratio(distance, former_distance))
             change, ratio = max(change, least * before), change / before
         ratio = _inside(ratio)
         self.error = change * ratio / (1.0 - ratio)
@@ -176,7 +177,7 @@ class FiniteSliding:
         """
         contact, state = self._contact, self._contact.state
         linear, origin, at_rest = contact.linear, state.configuration, contact.frames_at_rest
-        frames, v = contact.jump.frames, origin
+        frames, v = contact.jump.frames, origin  # v is the displacement within frames
         if at_rest is not None:
             linear.frames = None
             values, held = linear.prescribed_values(), origin.copy()
@@ -195,8 +196,8 @@ class FiniteSliding:
             w = w if linear.frames is None else linear.frames.displacement(w)
         finally:
             linear.frames = frames
-        moved, displaced = largest_sizes(contact.comm, w.x.array - origin.x.array, w.x.array)
-        if moved > ROUNDING * (contact.obstacles.extent + displaced):
+        step, displaced = largest_abs(contact.comm, w.x.array - origin.x.array, w.x.array)
+        if step > ROUNDING * (contact.obstacles.extent + displaced):
             contact.pair_where_changed(w)
 
     def _part_of_last_motion(
@@ -226,22 +227,24 @@ class FiniteSliding:
         alike = [configuration for configuration in earlier[1:] if self._alike(configuration)]
         if len(earlier) > 1 and (not alike or alike[-1] is not earlier[-1]):
             before = earlier[-1]
-            begin, end = self._products(w - before.w, [before.u - before.w, residual])
-            if begin > 0.0 > end:
-                fraction = _inside(begin / (begin - end))
+            # positive residuals point on along the step, negative ones back
+            onwards, backwards = self._products(w - before.w, [before.u - before.w, residual])
+            if onwards > 0.0 > backwards:
+                fraction = _inside(onwards / (onwards - backwards))
                 return np.asarray((1.0 - fraction) * before.u + fraction * u)
         if not alike:
             return u
         path = [*alike[-ANDERSON_DEPTH:], newest]
-        rows = np.array([b.u - b.w - (a.u - a.w) for a, b in pairwise(path)])
-        moves = np.array([b.u - a.u for a, b in pairwise(path)])
-        products = np.array([self._products(row, [*rows, residual]) for row in rows])
+        residual_changes = np.array([b.u - b.w - (a.u - a.w) for a, b in pairwise(path)])
+        changes_of_u = np.array([b.u - a.u for a, b in pairwise(path)])
+        vectors = [*residual_changes, residual]
+        products = np.array([self._products(change, vectors) for change in residual_changes])
         matrix, vector = products[:, :-1], products[:, -1]
         lengths = np.sqrt(np.diag(matrix))
         lengths[lengths == 0.0] = 1.0
         scaled = matrix / np.outer(lengths, lengths)
         weights = np.linalg.lstsq(scaled, vector / lengths, rcond=DEPENDENT)[0] / lengths
-        accelerated: Array = u - moves.T @ weights
+        accelerated: Array = u - changes_of_u.T @ weights
         followed = w if self._followed is None else self._followed
         against, back = self._products(residual, [w - accelerated, followed - w]) > 0.0
         if self._grows >= GROWING and against and not back:
@@ -254,8 +257,8 @@ class FiniteSliding:
         loads = self._path[-1].loads + configuration.loads
         changed = loads[(self._path[-1].loads > 0.0) != (configuration.loads > 0.0)]
         sums = [float(changed.sum()), float(loads.sum())]
-        of_changed, whole = reduce_array(self._contact.comm, sums)
-        return bool(of_changed <= ALIKE * whole)
+        changed_load, whole_load = reduce_array(self._contact.comm, sums)
+        return bool(changed_load <= ALIKE * whole_load)
 
     def _products(self, x: Array, vectors: list[Array]) -> Array:
         """Return the inner products of x with other displacements, all with ghosts. Collective."""
@@ -322,8 +325,8 @@ def _inside(fraction: float) -> float:
     return min(max(fraction, LEAST_FRACTION), 1.0 - LEAST_FRACTION)
 
 
-def _ratio(square: float, size: float, rounding: float = 0.0) -> float:
-    """Return the square root of square / size; 0 if the square is at most a rounding error's."""
+def _root_of_ratio(square: float, reference: float, rounding: float = 0.0) -> float:
+    """Return sqrt(square / reference), or 0 if the square is at most that of rounding."""
     if square <= rounding:
         return 0.0
-    return math.sqrt(square / size) if size > 0.0 else math.inf
+    return math.sqrt(square / reference) if reference > 0.0 else math.inf

@@ -13,7 +13,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
 from dolfinx_tresca._base.bodies import Bodies
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, reduce_array
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs, reduce_array
 from dolfinx_tresca.contact.step_state import StepState
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.nodal_values import central_differences, values_of
@@ -43,7 +43,7 @@ class Obstacles:
         self._at_pairing: list[Array] = []
         # motions of bolts; the entries of obstacles are not read
         self._of_bolts = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
-        (self.extent,) = largest_sizes(V.mesh.comm, V.mesh.geometry.x)
+        (self.extent,) = largest_abs(V.mesh.comm, V.mesh.geometry.x)
 
     @property
     def motions(self) -> Array:
@@ -144,11 +144,11 @@ class Obstacles:
             )
         point = obstacle.motion.applied_to(given.about[:, None])[:, 0]
         places = np.vstack([jump.pairs[number].places for number in numbers])
-        (size,) = largest_sizes(self._V.mesh.comm, places - point[: places.shape[1]])
+        (arm,) = largest_abs(self._V.mesh.comm, places - point[: places.shape[1]])
         load, result = np.append(given.force(), given.moment()), []
         for name in free:
             turns = name.startswith("r")
-            direction = np.eye(6)[FREEDOMS[3].index(name)] / (size if turns and size else 1.0)
+            direction = np.eye(6)[FREEDOMS[3].index(name)] / (arm if turns and arm else 1.0)
             label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
             force = float(load @ direction)
             result.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
@@ -164,13 +164,13 @@ class Obstacles:
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
         with errors_on_all_ranks(self._V.mesh.comm):
             return [
-                np.zeros((0, 4)) if obstacle is None else np.column_stack(obstacle.at(x[on.nodes]))
-                for obstacle, on in zip(self._obstacles, jump.pairs, strict=True)
+                np.column_stack(obstacle.at(x[operators.nodes])) if obstacle else np.zeros((0, 4))
+                for obstacle, operators in zip(self._obstacles, jump.pairs, strict=True)
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
         """Return (pairs,) whether distances or normals differ from the pairing. Collective."""
-        limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of the distance, the normal
+        limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of distance and normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
             for before, after in zip(self._at_pairing, self._distances(jump), strict=True)
@@ -196,7 +196,7 @@ class Obstacles:
         if rates is None:
             return np.zeros(len(self._pairs))
         ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
-        return np.array(largest_sizes(comm, *np.split(rates[0], ends)))
+        return np.array(largest_abs(comm, *np.split(rates[0], ends)))
 
     def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
         """Return the displacement of the obstacle's points that are at the nodes displaced by u."""
@@ -204,9 +204,9 @@ class Obstacles:
         points = self._V.tabulate_dof_coordinates().T.copy()
         points[:dim] += u.x.array.reshape(-1, dim).T
         material = RigidMotion.from_matrix(after).reversed_from(points)
-        moved = points - RigidMotion.from_matrix(before).applied_to(material)
+        displacement = points - RigidMotion.from_matrix(before).applied_to(material)
         result = fem.Function(self._V)
-        result.x.array[:] = moved[:dim].T.ravel()
+        result.x.array[:] = displacement[:dim].T.ravel()
         return result
 
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
@@ -216,8 +216,8 @@ class Obstacles:
         for pair, start, end, own in zip(self._pairs, before, after, jump.own_rows, strict=True):
             if not np.array_equal(start, end):
                 u = state.configuration if pair.sliding == "finite" else state.geometry
-                moved = self._displacement(start, end, u)
-                largest = max(largest, float(np.abs(moved.x.array).max(initial=0.0)))
+                displacement = self._displacement(start, end, u)
+                largest = max(largest, float(np.abs(displacement.x.array).max(initial=0.0)))
                 rows = np.append(own.normal, own.tangential)
-                jumps[rows] = jump.of_displacement(moved)[rows]
+                jumps[rows] = jump.of_displacement(displacement)[rows]
         return jumps, largest

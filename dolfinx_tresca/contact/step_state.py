@@ -53,7 +53,7 @@ class StepSolution:
         history: slip and dissipation of the accepted steps and of this solution.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
-        moved: (pairs,) whether the pair's obstacle moves in this load step.
+        obstacle_moves: (pairs,) whether the pair's obstacle moves in this load step.
         motions: (pairs, 3, 4) places of obstacles in the solution, as `RigidMotion.matrix`.
     """
 
@@ -64,7 +64,7 @@ class StepSolution:
     history: SlipHistory
     curves: list[CurveAtNodes]
     inputs: list[Array]
-    moved: Mask
+    obstacle_moves: Mask
     motions: Array
 
 

@@ -8,9 +8,9 @@ the inner product of both.
 
 `DataOfSolution` is the one place that knows what depends on controls: forms, Dirichlet conditions,
 gaps, terms and curves of friction laws (`nodal_fields`), and the rows of B, which rigid obstacles
-change (`moved_rows`). Its two methods are transposed to each other: `change` is for tangents, and
-for gradients with respect to Constants, which have few values; `pulled_back` is for gradients with
-respect to Functions.
+change (`jump_differences`). Its two methods are transposed to each other: `change` is for tangents,
+and for gradients with respect to Constants, which have few values; `pulled_back` is for gradients
+with respect to Functions.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from dolfinx_tresca._base.functions import owned_size
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.jump import JumpOperator
-from dolfinx_tresca.dual.load_steps import Carry, moved_jump
+from dolfinx_tresca.dual.load_steps import Carry, displaced_jump
 from dolfinx_tresca.dual.nodal_values import DIFFERENCE, inputs_of, replaced, values_of
 from dolfinx_tresca.dual.slip_bounds import TERMS, NodalBounds
 from dolfinx_tresca.errors import InputError, shown
@@ -60,10 +60,10 @@ class NodalField(NamedTuple):
     effect: csr_array
 
 
-def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
+def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
     """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
-    jump, x = contact.dual.jump, contact.multipliers
-    cones = contact.dual.admissible.at_point(x, contact.gradient)
+    jump, x = linearised.dual.jump, linearised.multipliers
+    cones = linearised.dual.admissible.at_point(x, linearised.gradient)
     # an entry for each pair with a curve, in the order of the pairs
     curves = iter(cones.curve_arguments(x) if isinstance(cones, FrictionCones) else ())
     is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
@@ -86,6 +86,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
     result: list[NodalField] = []
     for pair, rows in zip(pairs, jump.own_rows, strict=True):
         operators, disc, node = rows.operators, rows.nodes, np.arange(len(rows.nodes))
+        # entries of `effect`, with their rows and columns
         by_gap = 1.0 / jump.length_scale[rows.normal], (rows.normal, operators.normal_node)
         fields: list[Any] = [(pair.gap, f"the gap of contact pair {pair}", by_gap)]
         for term, words in TERMS.items():
@@ -102,7 +103,7 @@ def nodal_fields(contact: LinearisedContact, pairs: Sequence[ContactPair]) -> li
 
 
 @dataclass(frozen=True)
-class MovedRows:
+class JumpDifferences:
     """Central differences of B in a direction of a Constant that moves obstacles.
 
     Gaps, normals and tangents at the nodes depend on the position of an obstacle. Their central
@@ -111,7 +112,7 @@ class MovedRows:
     Attributes:
         sides: B with the obstacles displaced forwards and backwards.
         jumps: (size,) B u with both operators.
-        step: size of the displacement, as a factor of the direction.
+        step: distance of each side from the present position, as a factor of the direction.
         origin: (size,) the slip origin that keeps its vector at each node, in components along the
             tangents of the solution.
     """
@@ -127,35 +128,31 @@ class MovedRows:
         return (after - before) / (2.0 * self.step)
 
 
-def moved_rows(
-    system: ContactSystem,
-    contact: LinearisedContact,
+def jump_differences(
+    contact: ContactSystem,
+    linearised: LinearisedContact,
     constant: fem.Constant,
     direction: Array,
     in_all_steps: bool,
-) -> MovedRows | None:
+) -> JumpDifferences | None:
     """Return the central differences of B in a direction of a Constant. Collective.
 
     The direction has the shape of the Constant's value. Unless the Constant changes `in_all_steps`
     so far, it changes only after the last accepted step: the slip of the accepted steps stays the
     same vector at each node, whose components change with the tangents. The result is None if no
     obstacle moves along its normals.
-
-    Raises:
-        InputError: an obstacle moves in the load step of the last solve, or a node faces the
-            obstacle at only one of the two displaced positions of the obstacle.
     """
-    obstacles, jump = system.obstacles, system.jump
+    obstacles, jump = contact.obstacles, contact.jump
     rates = obstacles.rates(constant, direction, jump)
     moves = rates > 0.0
     if not moves.any():
         return None
     origin: Array = np.zeros(len(jump.gap))
     if not in_all_steps:
-        solved = system.solution_for("a derivative")
-        origin, moves_in_step = solved.dual.history.origin, moves & solved.moved
-        for pair, moved, rows in zip(system.pairs, moves_in_step, jump.own_rows, strict=True):
-            if moved and system.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
+        solved = contact.solution_for("a derivative")
+        origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
+        for pair, moving, rows in zip(contact.pairs, in_step, jump.own_rows, strict=True):
+            if moving and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."
@@ -165,8 +162,8 @@ def moved_rows(
     sides = []
     for factor in (step, -step):
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
-            displaced = moved_jump(jump, system.pairs, system.state.geometry, moves)
-        sides.append(displaced.along_axes(contact.bounds))
+            displaced = displaced_jump(jump, contact.pairs, contact.state.geometry, moves)
+        sides.append(displaced.along_axes(linearised.bounds))
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
         and np.array_equal(displaced.row_node, pair.row_node)
@@ -175,12 +172,13 @@ def moved_rows(
         for side in sides
         for displaced, pair in zip(side.pairs, jump.pairs, strict=True)
     )
-    if not system.comm.allreduce(same, op=MPI.LAND):
+    if not contact.comm.allreduce(same, op=MPI.LAND):
         raise InputError(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
             "no derivative with respect to its place. Compare two solutions."
         )
-    return MovedRows(sides, [side.of_displacement(contact.u) for side in sides], step, origin)
+    jumps = [side.of_displacement(linearised.u) for side in sides]
+    return JumpDifferences(sides, jumps, step, origin)
 
 
 class DataVector(NamedTuple):
@@ -192,12 +190,12 @@ class DataVector(NamedTuple):
             values.
         laws: (size + n_discs,) change of (d; s), divided by `JumpOperator.length_scale`, and of the
             radii of the discs; or y, and derivatives by the radii.
-        moved: central differences of B, in a change of the data for which obstacles move.
+        jump_differences: central differences of B, if the change of the data moves obstacles.
     """
 
     load: Array
     laws: Array
-    moved: Sequence[MovedRows] = ()
+    jump_differences: Sequence[JumpDifferences] = ()
 
 
 class DataOfSolution:
@@ -207,16 +205,16 @@ class DataOfSolution:
     """
 
     def __init__(
-        self, system: ContactSystem, residual: Any, u: fem.Function, *, in_all_steps: bool = False
+        self, contact: ContactSystem, residual: Any, u: fem.Function, *, in_all_steps: bool = False
     ) -> None:
         """Keep what data depend on. Collective.
 
         The `residual` is internal minus external forces at u, a form of rank 1; `linearise` gives u
-        the values of a solution. `moved_rows` explains `in_all_steps`.
+        the values of a solution. `jump_differences` explains `in_all_steps`.
         """
-        self.system, self.u, self.comm = system, u, system.comm
+        self.contact, self.u, self.comm = contact, u, contact.comm
         self._residual, self._in_all_steps = residual, in_all_steps
-        self._values = system.friction.values
+        self._values = contact.friction.values
         self._z = fem.Function(u.function_space, name="adjoint")
         self._work = ufl.action(residual, self._z)
         self._compiled: dict[Any, Any] = {}
@@ -236,7 +234,7 @@ class DataOfSolution:
         for control in controls:
             kinds = fem.Constant | fem.Function
             check_type("a control", control, kinds, "a fem.Constant or a fem.Function")
-            for pair in self.system.pairs:
+            for pair in self.contact.pairs:
                 terms = pair.friction.terms
                 bounds = [getattr(terms, name) for name in TERMS]
                 axes = [bound for bound in bounds if isinstance(bound, tuple)]
@@ -246,46 +244,43 @@ class DataOfSolution:
                         "not known, since it is part of the direction or the two bounds of "
                         "orthotropic friction. Compare two solutions."
                     )
-            self.system.obstacles.rates(control, None, self.system.jump)
+            self.contact.obstacles.rates(control, None, self.contact.jump)
 
     def checked_goal(self, goal: Any) -> Goal | ufl.Form:
         """Check a goal that is to be differentiated, and return it. Not collective.
 
         In forms, the displacement of the solution replaces the `u` of a nonlinear problem.
-
-        Raises:
-            InputError: the argument is neither a goal of this problem nor a form of rank 0.
         """
         if not isinstance(goal, ufl.Form):
             dim = self.u.function_space.mesh.geometry.dim
-            return checked_goal(goal, len(self.system.pairs), dim)
+            return checked_goal(goal, len(self.contact.pairs), dim)
         if goal.arguments():
             raise InputError("the goal is a form with arguments: a number is a form of rank 0.")
-        present = self.system.unknowns
+        present = self.contact.unknowns
         return goal if present is None else ufl.replace(goal, {present: self.u})
 
-    def linearise(self, contact: LinearisedContact) -> None:
+    def linearise(self, linearised: LinearisedContact) -> None:
         """Take the data of a solution. Collective."""
-        self.contact = contact
-        if self.u is not contact.u:
-            self.u.x.array[:] = contact.u.x.array
-        self._fields = nodal_fields(contact, self.system.pairs)
+        self.linearised = linearised
+        if self.u is not linearised.u:
+            self.u.x.array[:] = linearised.u.x.array
+        self._fields = nodal_fields(linearised, self.contact.pairs)
 
     def change(self, controls: Sequence[Control], directions: Sequence[Any]) -> DataVector:
         """Return the change of the data along a direction of controls. Collective.
 
         The direction of a Constant is an array, that of a Function is a Function.
         """
-        contact, prescribed = self.contact, self.system.linear.prescribed
-        jump, x = contact.dual.jump, contact.multipliers
+        contact, prescribed = self.contact, self.contact.linear.prescribed
+        linearised, x = self.linearised, self.linearised.multipliers
         forces, values = np.zeros((2, len(prescribed)))
-        laws = np.zeros(len(x) + len(contact.face.discs.radius))
-        moved: list[MovedRows] = []
+        laws = np.zeros(len(x) + len(linearised.face.discs.radius))
+        differences: list[JumpDifferences] = []
 
-        def of_moved(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
+        def laws_on(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
             """Return the offsets and the radii with the rows of another B."""
-            radius = side.bounded(contact.bounds).section(x).radius
-            offset = side.gap - jump_of_u + Carry(jump, side).jumps(origin)
+            radius = side.bounded(linearised.bounds).section(x).radius
+            offset = side.gap - jump_of_u + Carry(linearised.dual.jump, side).jumps(origin)
             return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
 
         for control, direction in zip(controls, directions, strict=True):
@@ -299,19 +294,19 @@ class DataOfSolution:
                     laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
-            rows = moved_rows(self.system, contact, control, direction, self._in_all_steps)
-            if rows is not None:
-                moved.append(rows)
-                forces -= rows.rate(lambda side, _: np.array(side.whole_force(x).array))
-                laws += rows.rate(partial(of_moved, origin=rows.origin))
-        return DataVector(np.where(prescribed, values, forces), laws, moved)
+            sides = jump_differences(contact, linearised, control, direction, self._in_all_steps)
+            if sides is not None:
+                differences.append(sides)
+                forces -= sides.rate(lambda side, _: np.array(side.whole_force(x).array))
+                laws += sides.rate(partial(laws_on, origin=sides.origin))
+        return DataVector(np.where(prescribed, values, forces), laws, differences)
 
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
         """Return the derivatives of a goal by the values of a Function that this rank owns.
 
         Collective. The other `derivatives` are those with respect to the data.
         """
-        prescribed = self.system.linear.prescribed
+        prescribed = self.contact.linear.prescribed
         self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
         self._z.x.scatter_forward()
         by_prescribed = dolfinx.la.vector(control.x.index_map, control.x.block_size)
@@ -341,7 +336,7 @@ class DataOfSolution:
         ends = np.zeros((2, len(self.u.x.array)))
         for prescribed, given in zip(ends, (values, np.zeros_like(values)), strict=True):
             with replaced([control], [given]):
-                for bc in self.system.linear.bcs:
+                for bc in self.contact.linear.bcs:
                     bc.set(prescribed)
         return np.asarray(ends[0] - ends[1])[: owned_size(self.u)]
 
@@ -365,7 +360,7 @@ class DataOfSolution:
                 along = fem.Constant(mesh, np.zeros(control.ufl_shape))
                 factor = ufl.variable(fem.Constant(mesh, 0.0))
                 change = ufl.diff(ufl.replace(form, {control: control + factor * along}), factor)
-            compiled = fem.form(change, entity_maps=self.system.linear.entity_maps)
+            compiled = fem.form(change, entity_maps=self.contact.linear.entity_maps)
             self._compiled[key] = form, compiled, along  # keeping `form` keeps its id valid
         _, compiled, along = self._compiled[key]
         if direction is not None:
@@ -377,7 +372,7 @@ class DataOfSolution:
         return np.asarray(vector.array[: vector.index_map.size_local * vector.block_size])
 
 
-def inputs_of_problem(system: ContactSystem) -> list[Any]:
+def inputs_of_problem(contact: ContactSystem) -> list[Any]:
     """Return all Constants and Functions on which solutions depend, each once.
 
     Those that users' functions of pressure or slip read are found in the functions' closures. What
@@ -385,14 +380,14 @@ def inputs_of_problem(system: ContactSystem) -> list[Any]:
     DOLFINx; `values_of` accepts them, too.
     """
     inputs: list[Any] = []
-    for form in system.linear.ufl_forms:
+    for form in contact.linear.ufl_forms:
         if form is not None:
             inputs += [*form.coefficients(), *form.constants()]
-    for pair in system.pairs:
+    for pair in contact.pairs:
         terms = pair.friction.terms
         functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
         inputs += inputs_of((pair.gap, *[getattr(terms, name) for name in TERMS], *functions))
-    inputs += [bc.g for bc in system.linear.bcs]
+    inputs += [bc.g for bc in contact.linear.bcs]
     return list(dict.fromkeys(inputs))
 
 

@@ -55,39 +55,38 @@ DOUBT = {1: 0.15, 2: 0.25}
 
 def value_of(goal: Goal, x: Array, jump: JumpOperator, jump_of_u: Array) -> float:
     """Return the value of a goal for multipliers x (size,) and a jump B u (size,). Collective."""
-    on_jump, on_x = weights_of(goal, jump, x)
+    by_jump, by_x = derivatives_of(goal, jump, x)
     inner = jump.reductions.inner
-    return float(inner(on_jump, jump_of_u) + inner(on_x, x))
+    return float(inner(by_jump, jump_of_u) + inner(by_x, x))
 
 
-def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
+def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     """Return the derivatives (size,) of a goal with respect to B u and to x. Collective.
 
     Since all goals are homogeneous of degree 1 in the jumps B u and the multipliers x, a goal is
     the sum of its derivatives times B u and x.
-
-    Raises:
-        InputError: the patch of the goal has no node of the pair.
     """
     rows = jump.by_pair[goal.pair]
+    # rows n and t of B, and their nodes i and j in the pair
     pair, n, t = rows.operators, rows.normal, rows.tangential
     i, j = pair.normal_node, pair.tangent_node
-    on_jump, on_x = np.zeros(len(jump.gap)), np.zeros(len(jump.gap))
+    by_jump, by_x = np.zeros(len(jump.gap)), np.zeros(len(jump.gap))
     if isinstance(goal, NormalForce):
-        on_x[n] = pair.weights[i]
+        by_x[n] = pair.weights[i]
     elif isinstance(goal, ContactForce):
         along = unit(np.array(goal.direction))
-        on_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
-        on_x[t] = -pair.weights[j] * (pair.tangents @ along)
+        by_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
+        by_x[t] = -pair.weights[j] * (pair.tangents @ along)
     elif isinstance(goal, PressureNorm):
         pressure = (x * jump.stress_scale)[n]
-        size = np.abs(pressure)
-        largest = float(reduce_array(jump.comm, size.max(initial=0.0), MPI.MAX))
-        size /= largest or 1.0  # so that its powers do not overflow
+        magnitude = np.abs(pressure)
+        largest = float(reduce_array(jump.comm, magnitude.max(initial=0.0), MPI.MAX))
+        magnitude /= largest or 1.0  # so that its powers do not overflow
         weights, m = pair.weights[i], goal.exponent
-        whole = float(reduce_array(jump.comm, weights @ size**m))
+        whole = float(reduce_array(jump.comm, weights @ magnitude**m))
         if whole > 0.0:
-            on_x[n] = weights * np.sign(pressure) * size ** (m - 1.0) * whole ** (1.0 / m - 1.0)
+            by_pressure = np.sign(pressure) * magnitude ** (m - 1.0) * whole ** (1.0 / m - 1.0)
+            by_x[n] = weights * by_pressure
     else:
         share = pair.weights * (
             _means_of_bump(goal, jump.system.V, pair)
@@ -102,10 +101,10 @@ def weights_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
             )
         share /= whole
         if isinstance(goal, MeanPressure):
-            on_x[n] = share[i]
+            by_x[n] = share[i]
         if isinstance(goal, MeanSlip):
-            on_jump[t] = share[j] * (pair.tangents @ unit(np.array(goal.direction)))
-    return on_jump * jump.length_scale, on_x * jump.stress_scale
+            by_jump[t] = share[j] * (pair.tangents @ unit(np.array(goal.direction)))
+    return by_jump * jump.length_scale, by_x * jump.stress_scale
 
 
 def _bump(goal: MeanPressure | MeanSlip, points: Array) -> Array:
@@ -195,24 +194,24 @@ class GoalError:
 
 
 def goal_error(
-    goal: Goal, contact: LinearisedContact, u: fem.Function, energy_error: float
+    goal: Goal, linearised: LinearisedContact, u: fem.Function, energy_error: float
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
     The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
     that of the iteration [energy^(1/2)].
     """
-    dual, jump, x = contact.dual, contact.dual.jump, contact.multipliers
+    dual, jump, x = linearised.dual, linearised.dual.jump, linearised.multipliers
     products_before = dual.compliance.products
-    on_jump, on_x = weights_of(goal, jump, x)
-    z, _ = contact.adjoint(on_jump, on_x, accuracy=ADJOINT_ACCURACY)
+    by_jump, by_x = derivatives_of(goal, jump, x)
+    z, _ = linearised.adjoint(by_jump, by_x, accuracy=ADJOINT_ACCURACY)
     estimator = dual.compliance.estimator
-    products = estimator.products(contact.u, z)
-    cells, of_z = estimator.cell_errors(contact.u), estimator.cell_errors(z)
+    error_products = estimator.products(linearised.u, z)
+    cells, of_z = estimator.cell_errors(linearised.u), estimator.cell_errors(z)
     cells.x.array[:] = np.sqrt(cells.x.array * of_z.x.array)
-    own = cells.x.array[: len(products)]
-    unsigned, signed = reduce_array(jump.comm, [own @ own, products.sum()])
-    degree = contact.u.function_space.element.basix_element.degree
+    own_cells = cells.x.array[: len(error_products)]
+    unsigned, signed = reduce_array(jump.comm, [own_cells @ own_cells, error_products.sum()])
+    degree = linearised.u.function_space.element.basix_element.degree
     return GoalError(
         goal=goal,
         value=value_of(goal, x, jump, jump.of_displacement(u)),
@@ -229,9 +228,6 @@ def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any
     """Check changes of controls, and return them: arrays for Constants, or Functions.
 
     Not collective.
-
-    Raises:
-        InputError: there is not one direction of the right type for each control.
     """
     result = list(directions) if isinstance(directions, Sequence) else [directions]
     if len(result) != len(controls):
@@ -258,11 +254,11 @@ def gradient(
     data: DataOfSolution,
     goals: WeightedGoals,
     controls: Sequence[Control],
-    on_origin: Array | None = None,
+    by_origin: Array | None = None,
 ) -> tuple[list[Array], Array]:
     """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
 
-    The sum may contain further terms, of which only the derivatives `on_origin` are given. With the
+    The sum may contain further terms, of which only the derivatives `by_origin` are given. With the
     derivatives q_u and q_x of the sum with respect to u and to the multipliers, the derivatives
     with respect to the prescribed values are q_u - B'y - K z, and those with respect to the radii
     of slipping nodes are t'(q_x - B z), with the directions t of the tractions.
@@ -275,37 +271,32 @@ def gradient(
     The result has for each control the derivatives with respect to its values (for a Function,
     those that this rank owns), and the derivatives (size,) with respect to the slip origin of this
     step.
-
-    Raises:
-        InputError: the patch of a goal has no node, or a form does not depend on u; or the
-            derivative with respect to a control is not known.
-        ConvergenceError: the adjoint has no solution.
     """
-    contact, jump, u = data.contact, data.contact.dual.jump, data.contact.u
-    discs, sticks, inner = contact.face.discs, contact.face.stick, contact.dual.inner
-    on_origin = np.zeros(discs.size) if on_origin is None else on_origin
-    by_next_step = on_origin.copy()  # of nodes that do not stick
+    linearised, jump, u = data.linearised, data.linearised.dual.jump, data.linearised.u
+    discs, sticks, inner = linearised.face.discs, linearised.face.stick, linearised.dual.inner
+    by_origin = np.zeros(discs.size) if by_origin is None else by_origin
+    by_next_step = by_origin.copy()  # of nodes that do not stick
     by_next_step[discs.tangential[sticks[discs.node]]] = 0.0
-    on_jump, on_x, on_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
+    by_jump, by_x, by_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
     for weight, goal in goals:
         if not isinstance(goal, ufl.Form):
-            by_jump, by_x = weights_of(goal, jump, contact.multipliers)
-            on_jump += weight * by_jump
-            on_x += weight * by_x
+            goal_by_jump, goal_by_x = derivatives_of(goal, jump, linearised.multipliers)
+            by_jump += weight * goal_by_jump
+            by_x += weight * goal_by_x
         elif u in goal.coefficients():
-            on_u += weight * data.derivative(goal, u)
+            by_u += weight * data.derivative(goal, u)
         else:
             raise InputError(
                 "the goal is a form that does not depend on the displacement of its solution: "
                 "write it in terms of solution.u."
             )
     linear = jump.system
-    z, y = contact.adjoint(on_jump, on_x, np.where(linear.prescribed, 0.0, on_u))
-    on_u += jump.whole_force(on_jump - y).array
-    load = z.x.array[: len(on_u)].copy()
-    load[linear.prescribed] = on_u[linear.prescribed] - linear.reactions_of(z.x.petsc_vec)
-    on_radius = contact.face.radial_parts(on_x - jump.of_displacement(z))
-    derivatives = DataVector(load, np.append(y, on_radius))
+    z, y = linearised.adjoint(by_jump, by_x, np.where(linear.prescribed, 0.0, by_u))
+    by_u += jump.whole_force(by_jump - y).array
+    load = z.x.array[: len(by_u)].copy()
+    load[linear.prescribed] = by_u[linear.prescribed] - linear.reactions_of(z.x.petsc_vec)
+    by_radius = linearised.face.radial_parts(by_x - jump.of_displacement(z))
+    derivatives = DataVector(load, np.append(y, by_radius))
     by_controls = []
     for control in controls:
         if isinstance(control, fem.Function):
@@ -322,12 +313,12 @@ def gradient(
             values[k] = inner(derivatives.load, change.load) + inner(derivatives.laws, change.laws)
             for weight, goal in goals:
                 values[k] += weight * explicit_rate(data, goal, [control], [direction], change)
-            for rows in change.moved:  # jumps of this step, from which the next step's slip counts
-                values[k] += float(inner(by_next_step, rows.rate(lambda _, jump_of_u: jump_of_u)))
+            for sides in change.jump_differences:  # from these jumps the next step's slip counts
+                values[k] += float(inner(by_next_step, sides.rate(lambda _, jump_of_u: jump_of_u)))
         by_controls.append(values.reshape(control.ufl_shape))
-    on_slip = np.zeros(discs.size)
-    on_slip[discs.tangential] = y[discs.tangential]
-    return by_controls, on_slip + on_origin - by_next_step
+    by_slip = np.zeros(discs.size)
+    by_slip[discs.tangential] = y[discs.tangential]
+    return by_controls, by_slip + by_origin - by_next_step
 
 
 def explicit_rate(
@@ -340,14 +331,13 @@ def explicit_rate(
     """Return the change of a goal with u and the multipliers fixed, to first order. Collective.
 
     A form of rank 0 may depend on controls, and a goal such as a force depends on the position of
-    obstacles through normals and tangents. The `change` of the data is that which the changes of
-    the controls cause.
+    obstacles through normals and tangents. The `change` is that of the data along the directions.
     """
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)
         return float(sum(data.derivative(goal, *pair) for pair in pairs))
-    value = partial(value_of, goal, data.contact.multipliers)
-    return float(sum(rows.rate(value) for rows in change.moved))
+    value = partial(value_of, goal, data.linearised.multipliers)
+    return float(sum(sides.rate(value) for sides in change.jump_differences))
 
 
 def as_derivatives(
@@ -446,25 +436,24 @@ def tangent_of(
 
     Each node keeps its contact state; see `linearised` for the equations.
     """
-    contact, dual, jump = data.contact, data.contact.dual, data.contact.dual.jump
-    x, linear = contact.multipliers, jump.system
+    linearised, dual, jump = data.linearised, data.linearised.dual, data.linearised.dual.jump
+    x, linear = linearised.multipliers, jump.system
     change = data.change(controls, directions)
     offset, radius = np.split(change.laws, [len(x)])
     pull = linear.forces_of(change.load[linear.prescribed]).array
-    force = change.load - np.where(linear.prescribed, 0.0, pull)
-    du, dx = contact.tangent(force, offset, radius)
+    free_load = change.load - np.where(linear.prescribed, 0.0, pull)
+    du, dx = linearised.tangent(free_load, offset, radius)
     jump_change = jump.of_displacement(du)
     # gap and slip count from the offsets
-    slip = (jump_change - offset) * jump.length_scale
-    stress = dx * jump.stress_scale
+    slip, stress = (jump_change - offset) * jump.length_scale, dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
         goal = data.checked_goal(goal)
         explicit = explicit_rate(data, goal, controls, directions, change)
         if isinstance(goal, ufl.Form):
-            return explicit + float(data.derivative(goal, contact.u, du))
-        on_jump, on_x = weights_of(goal, jump, x)
-        return explicit + float(dual.inner(on_jump, jump_change) + dual.inner(on_x, dx))
+            return explicit + float(data.derivative(goal, linearised.u, du))
+        by_jump, by_x = derivatives_of(goal, jump, x)
+        return explicit + float(dual.inner(by_jump, jump_change) + dual.inner(by_x, dx))
 
     def vectors(side: JumpOperator, stress: Array, slip: Array) -> Array:
         """Return tractions and slips (2, n, d) at the nodes of all pairs, pair by pair."""
@@ -475,11 +464,11 @@ def tangent_of(
         return np.concatenate(by_pair, axis=1)
 
     def present(side: JumpOperator, _: Array) -> Array:
-        return vectors(side, x * side.stress_scale, -contact.gradient * side.length_scale)
+        return vectors(side, x * side.stress_scale, -linearised.gradient * side.length_scale)
 
     changes = vectors(jump, stress, slip)
-    for moved in change.moved:
-        changes += moved.rate(present)
+    for sides in change.jump_differences:
+        changes += sides.rate(present)
     by_pair, result = jump.by_pair, []
     ends = np.cumsum([len(rows.operators.nodes) for rows in by_pair])[:-1]
     of_pairs = np.split(changes, ends, axis=1)

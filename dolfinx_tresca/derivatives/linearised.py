@@ -58,8 +58,8 @@ ACCURACY = {True: 1e-10, False: 1e-5}
 #: counts as rounding up to this multiple of the sum of the terms' absolute values.
 RESIDUAL_ROUNDING = 1e-10
 
-#: Requested error of the displacement after a step of GCR, divided by the size of the step, both in
-#: the energy norm. The first step is the displacement at y = 0. With twice the value derivatives of
+#: Requested error of the displacement after a step of GCR, relative to the step, both in the energy
+#: norm. The first step is the displacement at y = 0. With twice the value derivatives of
 #: a rubbing block have an error of 1.2e-4 in place of 3e-5, since errors of products enter y.
 STEP_ACCURACY = 0.05
 
@@ -87,11 +87,7 @@ class LinearisedContact:
 
     @property
     def face(self) -> Face:
-        """The states of the nodes, with the projector P. Collective at the first access.
-
-        Raises:
-            InputError: a slip bound depends on the slip.
-        """
+        """The states of the nodes, with the projector P. Collective at the first access."""
         return self._states[0]
 
     @cached_property
@@ -117,9 +113,6 @@ class LinearisedContact:
         are kept for later solves. Collective. The force (owned degrees of freedom,) is df, in rows
         of prescribed values the change of these values. The offset (size,) is the change of (d; s),
         divided by `JumpOperator.length_scale`, and the radius (n_discs,) that of the discs.
-
-        Raises:
-            ConvergenceError: no tangent exists.
         """
         grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
         right = self.dual.jump.contact_force(grown).copy()
@@ -128,22 +121,19 @@ class LinearisedContact:
         return du, dx + grown
 
     def adjoint(
-        self, on_jump: Array, on_x: Array, on_u: Array | None = None, accuracy: float | None = None
+        self, by_jump: Array, by_x: Array, by_u: Array | None = None, accuracy: float | None = None
     ) -> tuple[fem.Function, Array]:
-        """Return the adjoint (z, y) for the goal on_jump'B u + on_x'x + on_u'u. Collective.
+        """Return the adjoint (z, y) for the goal by_jump'B u + by_x'x + by_u'u. Collective.
 
         Here z is a displacement, zero where u is prescribed, and y (size,) are multipliers, see the
-        module. Products with A are kept for later solves. The vector on_u (owned degrees of
+        module. Products with A are kept for later solves. The vector by_u (owned degrees of
         freedom,) is zero where u is prescribed. The relative error of y in the energy norm is at
         most the accuracy; None: `ACCURACY`.
-
-        Raises:
-            ConvergenceError: no adjoint exists.
         """
-        right = self.dual.jump.contact_force(on_jump).copy()
-        if on_u is not None:
-            right.array += on_u
-        return self._solve(right, on_x, accuracy, transpose=True)
+        right = self.dual.jump.contact_force(by_jump).copy()
+        if by_u is not None:
+            right.array += by_u
+        return self._solve(right, by_x, accuracy, transpose=True)
 
     def _solve(
         self, force: PETSc.Vec, offset: Array, accuracy: float | None, transpose: bool
@@ -176,6 +166,7 @@ class LinearisedContact:
         store = dual.compliance.known_products()
         model = store.model()
         maps = self._maps(model.diagonal, transpose)
+        # norms of residuals weigh each row by the inverse of the model's diagonal
         weight = 1.0 / (model.diagonal + curvature)
         root = np.sqrt(weight)
         residual = right = maps.test @ (jump_at_start - offset)
@@ -208,13 +199,14 @@ class LinearisedContact:
             if count == 0:
                 # whole, since this step alone changes G'y + S c, by what is missing
                 wanted_length, missing = accuracy * length, np.zeros_like(missing)
-            else:
-                before, overlaps = norm(dual, root * image), dual.inner(images, weight * image)
+            else:  # orthogonal to earlier images, and of length 1
+                norm_before = norm(dual, root * image)
+                overlaps = dual.inner(images, weight * image)
                 image = image - images @ overlaps
-                new = norm(dual, root * image)
-                if new <= RESIDUAL_ROUNDING * before:  # errors of products, or no solution exists
-                    break
-                step, image = 1.0 / new * (step - steps @ overlaps), 1.0 / new * image
+                new_norm = norm(dual, root * image)
+                if new_norm <= RESIDUAL_ROUNDING * norm_before:
+                    break  # errors of products, or no solution exists
+                step, image = 1.0 / new_norm * (step - steps @ overlaps), 1.0 / new_norm * image
                 steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
                 factor = float(dual.inner(image, weight * residual))
             point, residual = point + factor * step, residual - factor * image
@@ -251,13 +243,13 @@ class LinearisedContact:
 
     def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
         """Return T and the other maps of `NodalMaps`, for `_solve`. Not collective."""
-        (face, curvature, change), x = self._states, self.multipliers
+        (face, curvature, follow), x = self._states, self.multipliers
         if not transpose:
             cones = self.dual.admissible.at_point(x, self.gradient)
             return NodalMaps.on_face(cones, x, face, diagonal, curvature)
         # with the bounds of the solution, Q is zero
         maps = NodalMaps.on_face(face.discs, x, face, diagonal, curvature)
-        return replace(maps, test=maps.test @ change.T, inverse=maps.inverse @ change.T)
+        return replace(maps, test=maps.test @ follow.T, inverse=maps.inverse @ follow.T)
 
 
 class _FollowedDisplacement:
@@ -314,9 +306,9 @@ class _FollowedDisplacement:
         if self._compliance.exact:
             return self._compliance.apply(step), 0.0, np.zeros(0)
         self._compliance.products += 1
-        v, before = self._v.copy(), self._error
-        self._error = self.improve(y + step, v, FULL_ACCURACY, STEP_ACCURACY * length)
-        product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(v)
-        change = v.array - self._v.array
-        v.destroy()
-        return product, float(np.hypot(self._error, before)), change
+        new_v, error_before = self._v.copy(), self._error
+        self._error = self.improve(y + step, new_v, FULL_ACCURACY, STEP_ACCURACY * length)
+        product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(new_v)
+        change = new_v.array - self._v.array
+        new_v.destroy()
+        return product, float(np.hypot(self._error, error_before)), change

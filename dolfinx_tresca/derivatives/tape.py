@@ -42,8 +42,8 @@ class _Recorded:
         laws: `ContactSystem.law_values` of the step.
     """
 
-    contact: LinearisedContact
-    moved: bool
+    linearised: LinearisedContact
+    obstacle_moves: bool
     values: Sequence[Array]
     curves: Sequence[CurveAtNodes]
     laws: Sequence[Array]
@@ -91,9 +91,6 @@ class ProcessTape:
             solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
                 an error that names the purpose.
             residual_at: function (u) -> internal minus external forces at the displacement u.
-
-        Raises:
-            InputError: `a` or `L` is no form of UFL.
         """
         self._contact, self._solved_for, self._residual_at = contact, solved_for, residual_at
         self.comm = contact.comm
@@ -109,12 +106,7 @@ class ProcessTape:
 
     @contextmanager
     def adding_step(self) -> Iterator[None]:
-        """Record the last solution if the block accepts it. Collective.
-
-        Raises:
-            ContactError: the solution has no derivative, or the slip history has changed since the
-                last recorded step.
-        """
+        """Record the last solution if the block accepts it. Collective."""
         contact = self._contact
         step = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
@@ -128,7 +120,7 @@ class ProcessTape:
         # without the sum of slips at all nodes, which takes as much memory as u
         dual = copy(step.dual)
         dual.history = replace(dual.history, slipped=())
-        solution = LinearisedContact(dual, step.multipliers, step.fields.u, contact.slip_bounds())
+        linearised = LinearisedContact(dual, step.multipliers, step.fields.u, contact.slip_bounds())
         yield
         self._history = contact.state.history
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
@@ -136,9 +128,8 @@ class ProcessTape:
             former if former is not None and np.array_equal(former, present) else present.copy()
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
-        self._steps.append(
-            _Recorded(solution, bool(step.moved.any()), values, step.curves, step.inputs[1:])
-        )
+        moves = bool(step.obstacle_moves.any())
+        self._steps.append(_Recorded(linearised, moves, values, step.curves, step.inputs[1:]))
 
     @collective(comm_of_self)
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
@@ -197,7 +188,7 @@ class ProcessTape:
         data = DataOfSolution(contact, self._residual_at(u), u, in_all_steps=True)
         goals_of_step = self._checked_goals(goals, data)
         data.check_controls(controls)
-        if any(step.contact.dual.compliance is not contact.compliance for step in self._steps):
+        if any(step.linearised.dual.compliance is not contact.compliance for step in self._steps):
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
@@ -210,7 +201,7 @@ class ProcessTape:
             step, weighted = self._steps[number], goals_of_step.get(number, [])
             with replaced(self._inputs, step.values):
                 self._check_laws(step, number)
-                data.linearise(step.contact)
+                data.linearise(step.linearised)
                 result[number], on_origin = gradient(data, weighted, controls, on_origin)
         return result
 
@@ -232,9 +223,9 @@ class ProcessTape:
                 "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
                 "before they are moved, or move them back."
             )
-        slips = bool(steps) and bool(steps[0].contact.dual.history.origin.any())
-        moved = any(step.moved for step in steps)
-        unknown = contact.comm.allreduce(slips or moved, op=MPI.LOR)
+        slips = bool(steps) and bool(steps[0].linearised.dual.history.origin.any())
+        obstacle_moves = any(step.obstacle_moves for step in steps)
+        unknown = contact.comm.allreduce(slips or obstacle_moves, op=MPI.LOR)
         for control in controls:
             if unknown and contact.obstacles.rates(control, None, contact.jump).any():
                 raise InputError(

@@ -5,7 +5,7 @@ jumps. This room makes B, A, b and Lambda from pairs, K, load and laws, and boun
 `solvers` finds the minimum. Rows of B are scaled by the roots of the nodes' areas, so that sums of
 multipliers are integrals; physical values are *stresses* and *lengths*.
 
-- `JumpOperator`: B with its scales, gaps and rows of each pair; `moved_jump` pairs displaced
+- `JumpOperator`: B with its scales, gaps and rows of each pair; `displaced_jump` pairs displaced
   surfaces anew, and `Carry` takes multipliers from one B to the next.
 - `SlipBounds`: the user's laws at nodes, as `NodalBounds`, of which `JumpOperator.bounded` makes a
   `FeasibleSet`, or `FrictionCones` if any bound depends on the pressure.
@@ -51,9 +51,9 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
 5. `History.check_convergence` judges each iterate by its criteria. The last iterate becomes the
    `DualSolution`. Without progress the status is STAGNATED or, if bounds depend on the pressure,
    NO_FIXED_POINT, and `friction_deficit` looks for a motion that friction cannot hold.
-6. `evaluate` (room `solution`) begins with the closing solve, `DualProgram.end_at`: K u = f - B'x
-   with the last x. `in_equilibrium` adds the rigid displacements of floating bodies. All fields,
-   forces, energies and bounds are computed from this u and x.
+6. `evaluate` (room `solution`) begins with `DualProgram.compute_displacement`: K u = f - B'x with
+   the last x. `in_equilibrium` adds the rigid displacements of floating bodies. All fields, forces,
+   energies and bounds are computed from this u and x.
 7. `ContactSystem.solve` compares the bound of the error of these fields with the accuracy that was
    asked for, and returns a `ContactSolution`. `ContactSystem.checked` changes its status if it has
    left linear theory. `print(solution)` shows its rows.

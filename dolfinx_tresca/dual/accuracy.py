@@ -54,11 +54,11 @@ class Lift:
         self._K, self._B = K, B
         (self._w, self._jump), (self._Kw, self._multipliers) = B.createVecs(), B.createVecs()
 
-    def energy_norm(self, jump: Array) -> float:
-        """Return |w|_K [energy^(1/2)]; infinite if no w has this jump. Collective."""
+    def energy_norm(self, jumps: Array) -> float:
+        """Return |w|_K [energy^(1/2)] for jumps (size,); infinite if no w has them. Collective."""
         if self._solver is None:
             return np.inf
-        self._jump.array = jump
+        self._jump.array = jumps
         w = self._lift(self._solver)
         self._B.mult(w, self._multipliers)
         self._multipliers.axpy(-1.0, self._jump)
@@ -78,7 +78,7 @@ class Lift:
 
 
 def _factored_unless_singular(
-    matrix: PETSc.Mat, constraints: int | None = 0
+    matrix: PETSc.Mat, negative_pivots: int | None = 0
 ) -> StiffnessSolver | None:
     """Return the factors of a symmetric matrix; None if rows are dependent. Collective.
 
@@ -86,7 +86,7 @@ def _factored_unless_singular(
     """
     matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     try:
-        return cholesky(matrix, {}, None, constraints)
+        return cholesky(matrix, {}, None, negative_pivots)
     except StiffnessError:
         return None
 
@@ -126,7 +126,7 @@ class SaddleLift(Lift):
         whole.convert(PETSc.Mat.Type.AIJ)
         self._prepare(K, B)
         self._right, self._solution = whole.createVecs()
-        self._solver = _factored_unless_singular(whole, None)
+        self._solver = _factored_unless_singular(whole, negative_pivots=None)
         rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
         if self._solver is None and np.isfinite(Lift(jump).energy_norm(rough)):
             raise StiffnessError(
@@ -138,11 +138,11 @@ class SaddleLift(Lift):
 
     def _lift(self, solver: StiffnessSolver) -> PETSc.Vec:
         """Return w for the jump in `_jump`. Collective."""
-        size = len(self._w.array)
+        unknowns = len(self._w.array)
         self._right.set(0.0)
-        self._right.array[size:] = self._jump.array
+        self._right.array[unknowns:] = self._jump.array
         solver.solve(self._right, self._solution)
-        self._w.array = self._solution.array[:size]
+        self._w.array = self._solution.array[:unknowns]
         return self._w
 
 
@@ -188,10 +188,10 @@ class EnergyBound:
         if self._lift is None:
             return np.inf
         # each node gets the jump for which the duality gap is smallest if its neighbours are fixed
-        moved = x - self._nodal_stiffness * r
-        projected = feasible_set.project(moved)
+        minimiser = x - self._nodal_stiffness * r
+        projected = feasible_set.project(minimiser)
         # the gradient at the new jump: in normal rows the gap, in tangential rows minus the slip
-        gradient = (projected - moved) / self._nodal_stiffness
+        gradient = (projected - minimiser) / self._nodal_stiffness
         n, t = feasible_set.normal, feasible_set.tangential
         friction = feasible_set.dissipation(gradient) + float(x[t] @ gradient[t])
         total = reduce_array(self.comm, float(x[n] @ gradient[n]) + max(friction, 0.0))

@@ -86,6 +86,7 @@ class JumpOperator(PetscOwner):
         """Assemble B. Collective."""
         self.system, self.frames, self.comm = system, frames, system.comm
         self.reductions = RankReductions(system.comm)
+        # nodes are numbered pair by pair, and rows too: those of N, then those of T
         ends = np.cumsum([0, *(len(pair.nodes) for pair in pairs)]).tolist()
         self.nodes = [slice(*ends_of_pair) for ends_of_pair in pairwise(ends)]
         counts = [len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)]
@@ -100,6 +101,7 @@ class JumpOperator(PetscOwner):
             is_tangential[t] = True
             is_bonded[n] = is_bonded[t] = pair.bonded
         self.is_tangential = is_tangential
+        # friction ellipses become discs by a stretch of the tangential rows
         tangential, count = np.flatnonzero(is_tangential), len(self._root_areas)
         semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
         stretch = np.ones(len(scale))
@@ -117,6 +119,7 @@ class JumpOperator(PetscOwner):
         self._force, self.work = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
+        # a disc for each node, then one for each row that alone of its node has no friction
         rubs = ~is_bonded[tangential]
         has_own_disc, tangential = frictionless[rubs], tangential[rubs]
         node = self.row_nodes[tangential].astype(np.intp)
@@ -141,6 +144,7 @@ class JumpOperator(PetscOwner):
         """The nodes and rows of all multipliers that act on each pair."""
         result = []
         for k, pair in enumerate(self.pairs):
+            # nodes of all pairs of the group whose areas are in part those of this pair
             numbers = pair.undeformed.group.numbers
             operators, acts = [], np.zeros(len(self._root_areas), dtype=np.bool_)
             for j in numbers:
@@ -148,10 +152,9 @@ class JumpOperator(PetscOwner):
                 keep = acts[self.nodes[j]] = share > 0.0
                 at_nodes = self.pairs[j].at_nodes(keep)
                 operators.append(dataclasses.replace(at_nodes, weights=share[keep]))
-            nodes, rows = np.flatnonzero(acts), acts[self.row_nodes]
-            normal, tangential = rows & ~self.is_tangential, rows & self.is_tangential
-            positions = nodes, np.flatnonzero(normal), np.flatnonzero(tangential)
-            result.append(RowsOfPair(joined(operators), *positions))
+            row_acts = acts[self.row_nodes]
+            masks = acts, row_acts & ~self.is_tangential, row_acts & self.is_tangential
+            result.append(RowsOfPair(joined(operators), *map(np.flatnonzero, masks)))
         return result
 
     def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
@@ -169,6 +172,8 @@ class JumpOperator(PetscOwner):
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
+        # bounds at nodes become radii of discs, in the scale of multipliers; factors of a pressure
+        # need no scale, since the pressure has the same one
         count, radius = len(self.discs.radius), self._relative_radius
         scaled = radius * self._root_areas
         constant, coefficient, limit = (

@@ -22,7 +22,7 @@ from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.stiffness.frames import BodyFrames
 
 
-def moved_jump(
+def displaced_jump(
     before: JumpOperator,
     pairs: Sequence[ContactPair],
     u: fem.Function,
@@ -40,7 +40,7 @@ def moved_jump(
     paired at u [length] if `anew` says so for their pair, and if they are not bonded.
 
     Raises:
-        PairingError: the moved surfaces cannot be paired.
+        PairingError: the displaced surfaces cannot be paired.
     """
     system, V = before.system, u.function_space
     stay = [old.bonded or not new for old, new in zip(before.pairs, anew, strict=True)]
@@ -54,15 +54,15 @@ def moved_jump(
             for k, operator in zip(numbers, paired, strict=True):
                 stay[k] = before.pairs[k].bonded
                 operators[k] = before.pairs[k] if stay[k] else operator
-    moves = u.copy()  # the vector that the jump makes of u would be left to garbage collection
+    paired_at = u.copy()  # the vector that the jump makes of u would be left to garbage collection
     jump = JumpOperator(system, operators, frames)
     with destroyed_on_error(jump):
-        closings = jump.closings(moves)
+        closings = jump.closings(paired_at)
         for k, (new, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
                 if straight_u is not values:
-                    moves.x.array[:] = _bent_primary(V, straight_u, values, pair, new).ravel()
-                    closings = jump.closings(moves)
+                    paired_at.x.array[:] = _bent_primary(V, straight_u, values, pair, new).ravel()
+                    closings = jump.closings(paired_at)
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
                 distance = new.distance + new.secondary_sagitta - raised + closings[k]
                 operators[k] = dataclasses.replace(new, distance=distance, secondary_sagitta=raised)

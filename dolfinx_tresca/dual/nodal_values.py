@@ -20,18 +20,18 @@ from ufl.domain import extract_domains
 
 from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes, summed_at_nodes
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs, summed_at_nodes
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.scene.friction import ScalarField, VectorField, expression_of
 
-#: Step of central differences, relative to the size of a Constant, or to the extent of the mesh if
-#: an obstacle moves. The truncation error is about the square of the step, the rounding error about
-#: the rounding of one value divided by the step.
+#: Step of central differences, relative to the magnitude of a Constant, or to the mesh's extent
+#: where an obstacle moves. The truncation error is about its square, the rounding error about the
+#: rounding of one value divided by the step.
 DIFFERENCE = 1e-5
 
-#: Sizes of a control that are tried in turn if its own size gives no useful difference: it may be
+#: Magnitudes of a control that are tried in turn if its own gives no useful difference: it may be
 #: zero, or a rounding error.
-SIZES = (1.0, 1e-3, 1e-6, 1e-9)
+MAGNITUDES = (1.0, 1e-3, 1e-6, 1e-9)
 
 #: Least and largest change of values, relative to the largest value, with which a difference is
 #: taken at once. With smaller changes rounding errors exceed 1e-4; larger ones are not small.
@@ -81,23 +81,20 @@ def central_differences(
     No list of what a Python function reads is needed: the result is None if nothing changes. The
     `directions` are (k, number of values of the control), the values of this rank (n, ...), and the
     result (k, n, ...). Error messages call the values by the name.
-
-    Raises:
-        InputError: the values change, and the control is a Function.
     """
     given = values_of(control).copy()
     result: Array | None = None
-    for size in (*largest_sizes(comm, given), *SIZES):
+    for magnitude in (*largest_abs(comm, given), *MAGNITUDES):
         ends = []
-        for end in (DIFFERENCE * size, -DIFFERENCE * size):
+        for end in (DIFFERENCE * magnitude, -DIFFERENCE * magnitude):
             for direction in directions:
                 with replaced([control], [given + end * direction]):
                     ends.append(values())
         high, low = np.split(np.array(ends), 2)
-        change, *largest = largest_sizes(comm, high - low, high, low)
+        change, *largest = largest_abs(comm, high - low, high, low)
         is_useful = LEAST_CHANGE * max(largest) <= change <= LARGEST_CHANGE * max(largest)
         if change > 0.0 and (is_useful or result is None):
-            result = np.asarray((high - low) / (2.0 * DIFFERENCE * size))
+            result = np.asarray((high - low) / (2.0 * DIFFERENCE * magnitude))
             if is_useful:
                 break
     if result is not None and isinstance(control, fem.Function):
@@ -116,12 +113,8 @@ class NodalValues:
         self._V = V
         self._compiled: dict[Expr, fem.Expression] = {}
 
-    def scalars_at(self, field: ScalarField, nodes: LocalNumbers, name: str) -> Array:
-        """Return the present values (n,) of a scalar, see `values_at`. Collective."""
-        return self.values_at(field, nodes, name, 1)[:, 0]
-
     def values_at(
-        self, field: ScalarField | VectorField, nodes: LocalNumbers, name: str, components: int
+        self, field: ScalarField | VectorField, nodes: LocalNumbers, name: str, components: int = 1
     ) -> Array:
         """Return the present values (n, 1 or 3) of a scalar or vector at nodes. Collective.
 
@@ -161,10 +154,6 @@ class NodalValues:
         The weights (n,) are derivatives of a goal, from an adjoint solution. The result has a value
         for each degree of freedom that this rank owns; it is None if the field does not depend on
         the Function.
-
-        Raises:
-            InputError: the control is a Function with components, or on another mesh; or a Python
-                function reads it.
         """
         space, dofmap = control.function_space, control.function_space.dofmap
         slopes = self.slopes(field, control, ufl.TestFunction(space), nodes, name)

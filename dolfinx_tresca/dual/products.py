@@ -19,7 +19,7 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
 from dolfinx_tresca._base.bodies import label_bodies, labels_of
-from dolfinx_tresca._base.parallel import largest_sizes
+from dolfinx_tresca._base.parallel import largest_abs
 from dolfinx_tresca._base.petsc import (
     PetscOwner,
     dense_matrix,
@@ -431,5 +431,5 @@ class ContactCompliance(PetscOwner):
         """Size of the pressures [stress] that the rounding of coordinates causes. Collective."""
         jump = self.jump
         stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
-        stiffness, extent = largest_sizes(jump.comm, stress, jump.system.V.mesh.geometry.x)
+        stiffness, extent = largest_abs(jump.comm, stress, jump.system.V.mesh.geometry.x)
         return ROUNDING * extent * stiffness

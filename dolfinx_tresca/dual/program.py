@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, reduce_array
 from dolfinx_tresca._base.tolerances import FULL_ACCURACY, ROUGH, SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
@@ -50,7 +50,7 @@ LOAD_ACCURACY = 1e-6
 
 #: Largest length or force that is accepted: its square, times a stiffness or area of up to 1e28, is
 #: less than the largest number of double precision, 1.8e308.
-LARGEST_SIZE = 1e140
+LARGEST_ENTRY = 1e140
 
 
 class DualProgram:
@@ -151,12 +151,12 @@ class DualProgram:
     def _check_units(self) -> None:
         """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
         force = self._load.norm(PETSc.NormType.INFINITY)
-        (largest,) = largest_sizes(self.jump.comm, self.b)
-        least = 1.0 / LARGEST_SIZE
-        for name, size in (("load", force), ("displacement it causes", largest)):
-            if size > LARGEST_SIZE or (largest < least and 0.0 < size < least):
+        (largest,) = largest_abs(self.jump.comm, self.b)
+        least = 1.0 / LARGEST_ENTRY
+        for name, entry in (("load", force), ("displacement it causes", largest)):
+            if entry > LARGEST_ENTRY or (largest < least and 0.0 < entry < least):
                 raise InputError(
-                    f"the {name} has entries up to {size:.1e}: squares of such numbers cannot be "
+                    f"the {name} has entries up to {entry:.1e}: squares of such numbers cannot be "
                     "computed. Choose units in which they are nearer to 1."
                 )
 
@@ -199,7 +199,7 @@ class DualProgram:
         """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
         return self.offset - self.jump.of_unknowns(u)
 
-    def end_at(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
+    def compute_displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
 
         The next solve starts from the result. A displacement with which the convergence of the
@@ -229,8 +229,9 @@ class DualProgram:
         Rigid displacements of bodies on soft springs are left out. The first call may need a solve
         with K, if forces act and displacements are prescribed. Collective.
         """
-        energy, jump = self._load_terms
-        square = energy + float(self.inner(x, r + self.b - 2.0 * jump))
+        energy, jump_of_forces = self._load_terms
+        # u = K^-1 f - K^-1 B'x: |u|^2 = f'K^-1 f - 2 x'B K^-1 f + x'A x, where A x = r + b
+        square = energy + float(self.inner(x, r + self.b - 2.0 * jump_of_forces))
         # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))
         return float(np.sqrt(square)) if resolved and square > 0.0 else 0.0
@@ -256,15 +257,15 @@ class DualProgram:
         energy = 2.0 * system.strain_energy(u)
         if springs is not None:
             energy += springs.energy(u)
-        jump = self.b + self.offset
+        jump_of_forces = self.b + self.offset
         prescribed_values = system.f.x.array[: len(system.moves)][~system.moves]
         if system.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR):
             forces = system.assemble_forces()
             u.set(0.0)
             if forces.x.petsc_vec.norm() > 0.0:
                 self._solver.improve(forces.x.petsc_vec, u, rtol=LOAD_ACCURACY, accuracy=0.0)
-            jump = self.jump.of_unknowns(u)
-        return max(energy, 0.0), jump  # the energy of a rigid motion is rounding
+            jump_of_forces = self.jump.of_unknowns(u)
+        return max(energy, 0.0), jump_of_forces  # the energy of a rigid motion is rounding
 
     def section_at(self, x: Array, r: Array) -> FeasibleSet:
         """Return Lambda with the slip bounds at the pressures and slips of a point."""
@@ -287,38 +288,27 @@ class DualProgram:
         return x - self.compliance.nodal_stiffness * r
 
     def local_error(self, x: Array, r: Array) -> float:
-        """Return `local_change` divided by the largest traction; 0 for rounding. Collective.
+        """Return `local_change` relative to the largest traction; 0 for rounding. Collective."""
+        return relative_change(*self.local_change(x, r))
 
-        If springs alone carry the loads, the exact tractions are zero. The computed tractions and
-        their changes are then rounding errors of the jumps, and their ratio means nothing.
-        """
-        change, traction = self.local_change(x, r)
-        offset = self.offset
-        stresses = self._largest_stress(
-            self.compliance.nodal_stiffness * (np.abs(offset) + np.abs(offset - r))
-        )
-        if change <= ROUNDING * reduce_array(self.jump.comm, stresses, MPI.MAX):
-            return 0.0
-        return change / traction if traction > 0.0 else float(change > 0.0)
-
-    def local_change(self, x: Array, r: Array) -> tuple[float, float]:
+    def local_change(self, x: Array, r: Array) -> tuple[float, float, float]:
         """Return the largest change of tractions from x to the nodes' local minimisers. Collective.
 
-        The minimisers are the projection of `local_minimiser` onto Lambda. The result is the change
-        and the largest traction [stress].
+        The minimisers are the projection of `local_minimiser` onto Lambda. The result is the
+        change, the largest traction, and the largest rounding error of tractions [stress]. (If
+        springs alone carry the loads, tractions and changes are rounding errors of the jumps.)
         """
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
-        sizes = [self._largest_stress(multipliers) for multipliers in (change, x)]
-        largest, traction = reduce_array(self.jump.comm, sizes, MPI.MAX)
-        return float(largest), float(traction)
+        terms = self.compliance.nodal_stiffness * (np.abs(self.offset) + np.abs(self.offset - r))
+        stresses = [self._largest_stress(values) for values in (change, x, terms)]
+        largest, traction, rounding = reduce_array(self.jump.comm, stresses, MPI.MAX)
+        return float(largest), float(traction), ROUNDING * float(rounding)
 
     def _largest_stress(self, x: Array) -> float:
         """Return the largest pressure or traction of this rank's multipliers. Not collective."""
-        nodes, stress = self.jump.discs, x * self.jump.stress_scale
-        return max(
-            float(np.abs(stress[nodes.normal]).max(initial=0.0)),
-            float(nodes.norms(stress).max(initial=0.0)),
-        )
+        discs, stress = self.jump.discs, x * self.jump.stress_scale
+        pressures, tractions = np.abs(stress[discs.normal]), discs.norms(stress)
+        return float(max(pressures.max(initial=0.0), tractions.max(initial=0.0)))
 
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.
@@ -377,5 +367,11 @@ class DualProgram:
         work += float(self.constraints.values[self.of_tools] @ c[self.of_tools])
         friction = reduce_array(self.jump.comm, self.section_at(x, r).dissipation(r))
         energy = 0.5 * elastic - work
-        dual = energy - float(self.inner(x, r)) - 0.5 * error**2
-        return energy + float(friction), dual
+        return energy + float(friction), energy - float(self.inner(x, r)) - 0.5 * error**2
+
+
+def relative_change(change: float, value: float, rounding: float = 0.0) -> float:
+    """Return change / value, 0 for a change that is rounding, or 1 for a change of zero."""
+    if change <= rounding:
+        return 0.0
+    return change / value if value > 0.0 else 1.0

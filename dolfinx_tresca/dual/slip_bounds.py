@@ -48,9 +48,6 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -
     tangential direction keeps this direction, and its slip bound is the semi-diameter of the
     ellipse along this direction. A node whose ellipse is a circle keeps its tangents. If neither
     tangents nor semi-axes change on this rank, up to rounding, the result is `pair` itself.
-
-    Raises:
-        InputError: a direction is not finite, is zero, or is normal to the surface.
     """
     if bounds.direction is None:
         return pair
@@ -58,6 +55,7 @@ def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -
     circular = shape[:, 0] == shape[:, 1]
     axes = _axes(V, pair, np.where(circular[:, None], 0.0, bounds.direction), circular)
     node = pair.tangent_node
+    # the two rows of each node with two tangents and an ellipse
     second = np.flatnonzero(node[1:] == node[:-1]) + 1
     second = second[~circular[node[second]]]
     rows = np.stack([second - 1, second], axis=1)
@@ -188,7 +186,7 @@ class SlipBounds:
         for scalars in _named_scalars(friction).values():
             for field, words in scalars:
                 if real(field) is None:
-                    self.values.scalars_at(field, nodes, words)
+                    self.values.values_at(field, nodes, words)
                 else:
                     self._bound(field, nodes, words, stress_rounding)
         if friction.terms.curve is not None:
@@ -207,8 +205,8 @@ class SlipBounds:
     ) -> NodalBounds:
         """Return the present bound at nodes of this rank; 0 without friction. Collective.
 
-        Negative values of at most the size `stress_rounding` [stress] also count as zero, even if
-        they exceed `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
+        Negative values down to -`stress_rounding` [stress] also count as zero, even if they exceed
+        `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is
@@ -235,10 +233,6 @@ class SlipBounds:
         """Check a curve's values at pressures (n,) and slips (n,) of this rank. Collective.
 
         Values at zero pressure may be infinite: they are multiplied by the pressure.
-
-        Raises:
-            InputError: the function raises an error, or does not return a number or an array (n,);
-                or a value is negative, or NaN, or infinite under pressure.
         """
         name = TERMS["coefficient"]
         with errors_on_all_ranks(self._comm), np.errstate(all="ignore"):
@@ -270,12 +264,12 @@ class SlipBounds:
 
     def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
         """Return values at nodes of this rank; negative rounding errors become zero. Collective."""
-        values = self.values.scalars_at(field, nodes, name)
+        values = self.values.values_at(field, nodes, name)[:, 0]
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
-        zero = -max(relative, rounding)
+        least = -max(relative, rounding)
         with errors_on_all_ranks(self._comm):
-            bad = ~(values >= zero)
+            bad = ~(values >= least)
             if bad.any():
                 fault = "NaN" if np.isnan(values[bad][0]) else "negative"
                 raise InputError(

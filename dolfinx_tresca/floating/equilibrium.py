@@ -101,18 +101,18 @@ class Tools:
                 nodes, dim = rows.operators, rows.operators.normals.shape[1]
                 arm = np.zeros((len(nodes.places), 3)) - motion.point
                 arm[:, :dim] += nodes.places
-                moved = motion.direction[:3] + np.cross(motion.direction[3:], arm)
-                moved = moved[:, :dim] * nodes.weights[:, None]
+                displacement = motion.direction[:3] + np.cross(motion.direction[3:], arm)
+                weighted = displacement[:, :dim] * nodes.weights[:, None]
                 i, j = nodes.normal_node, nodes.tangent_node
-                column[rows.normal] -= dots(moved[i], nodes.normals[i])
-                column[rows.tangential] -= dots(moved[j], nodes.tangents)
+                column[rows.normal] -= dots(weighted[i], nodes.normals[i])
+                column[rows.tangential] -= dots(weighted[j], nodes.tangents)
         return cls(motions, bodies, csr_array(stress_scale[:, None] * G))
 
     def names(self, components: Array) -> str:
         """Return the tools, and their motions, in a joint motion with components (k, ...)."""
-        sizes = np.linalg.norm(components.reshape(len(self.motions), -1), axis=1)
+        amounts = np.linalg.norm(components.reshape(len(self.motions), -1), axis=1)
         moving: dict[str, list[str]] = {}
-        for k in np.flatnonzero(sizes > NAMED_PART * sizes.max()):
+        for k in np.flatnonzero(amounts > NAMED_PART * amounts.max()):
             moving.setdefault(self.motions[k].tool, []).append(self.motions[k].name)
         return "; ".join(f"{tool}: {', '.join(names)}" for tool, names in moving.items())
 
@@ -121,12 +121,12 @@ class Tools:
 
         The motions c (k,) of a solve follow those `before`, (pairs, 3, 4).
         """
-        result, moved = before.copy(), np.zeros((len(before), 6))
+        result, steps = before.copy(), np.zeros((len(before), 6))  # as `FreeMotion.direction`
         for motion, amount in zip(self.motions, c, strict=True):
-            moved[motion.pairs] += amount * motion.direction
+            steps[motion.pairs] += amount * motion.direction
         for motion in self.motions:
             for pair in motion.pairs:
-                step = RigidMotion.about(motion.point, moved[pair, 3:], moved[pair, :3])
+                step = RigidMotion.about(motion.point, steps[pair, 3:], steps[pair, :3])
                 result[pair] = step.after(RigidMotion.from_matrix(before[pair])).matrix
         return result
 
@@ -145,8 +145,8 @@ class Equilibrium:
     loads.
 
     Attributes:
-        factors: (k,) the factors of these multiples, such that a column of G has length 1, or a
-            smaller length if S resists its mode more than contact does.
+        factors: (k,) factors by which the columns of U are multiplied, such that a column of G has
+            length 1, or a smaller length if S resists its mode more than contact does.
     """
 
     constraints: EqualityConstraints
@@ -163,9 +163,9 @@ class Equilibrium:
         return self.constraints.soft_violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return the resultants U'f (k,), and the largest size of their terms. Collective."""
-        result, sizes = (self.factors * values for values in self.bodies.resultants(f.array))
-        return result, float(sizes.max(initial=0.0))
+        """Return the resultants U'f (k,), and the largest sum of their terms. Collective."""
+        result, terms = (self.factors * values for values in self.bodies.resultants(f.array))
+        return result, float(terms.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
         """Return a text with the sliding body, and the ratio of load and friction. Collective."""
@@ -216,19 +216,19 @@ class FloatingBodies:
         return str(self.modes.comm.bcast(self.tools.names(components[k:])))
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
-        """Return the resultants U'f (k,) of this rank's loads f, and sizes (k,). Collective.
+        """Return the resultants U'f (k,) of this rank's loads f, and term sums (k,). Collective.
 
-        The size of a resultant is the sum of |U| |f| over the nodes, where |.| is the length of a
-        vector at a node, which does not depend on the axes. A resultant that is rounding relative
-        to its size is set to zero.
+        A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
+        node, which does not depend on the axes. A resultant that is rounding relative to its term
+        sum is set to zero.
         """
         U, dim = self.displacements, self.modes.dim
-        nodes = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
-        lengths = (nodes @ U.power(2)).sqrt()
-        sizes: Array = reduce_array(self.modes.comm, lengths.T @ np.sqrt(nodes @ np.square(f)))
+        add_components = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
+        lengths, forces = (add_components @ U.power(2)).sqrt(), np.sqrt(add_components @ f**2)
+        terms: Array = reduce_array(self.modes.comm, lengths.T @ forces)
         result: Array = reduce_array(self.modes.comm, U.T @ f)
-        result[np.abs(result) <= ROUNDING * sizes] = 0.0
-        return result, sizes
+        result[np.abs(result) <= ROUNDING * terms] = 0.0
+        return result, terms
 
     def under(self, load: Array, feasible_set: FeasibleSet, reductions: Reductions) -> Equilibrium:
         """Return the equilibrium under a load, if contact can hold the bodies. Collective.
@@ -252,19 +252,20 @@ class FloatingBodies:
         resisted, k = self.stiffness.diagonal(), len(length)
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
-        resultants, sizes = self.resultants(load)
+        resultants, terms = self.resultants(load)
         if tools is not None:
             given = np.array([motion.force for motion in tools.motions])
             resultants[-len(given) :] = given
-            sizes[-len(given) :] = np.abs(given)
-        own_sizes = np.where(length > 0.0, factors * sizes, 0.0)
+            terms[-len(given) :] = np.abs(given)
+        own_terms = np.where(length > 0.0, factors * terms, 0.0)
+        # bodies that touch the same nodes pass their loads on: they belong to one group
         of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
-        coupled = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
+        group = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
         constraints = EqualityConstraints(
             columns=csr_array(self.jumps @ by_factor),
             softness=csr_array(by_factor @ self.stiffness @ by_factor),
             values=factors * resultants,
-            sizes=_largest_of_group(own_sizes, coupled[bodies]),
+            term_sums=_largest_of_group(own_terms, group[bodies]),
             reductions=reductions,
         )
         return Equilibrium(self._balanced(constraints, factors, feasible_set), self, factors)
@@ -286,16 +287,17 @@ class FloatingBodies:
         (k,) are zero if they are small compared with the largest length of the mode's body.
         """
         floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
-        sizes = np.where(length > 0.0, length, largest)[floats]
-        by_size = 1.0 / np.where(sizes > 0.0, sizes, 1.0)
-        scaled = diags_array(by_size) @ gram[floats][:, floats] @ diags_array(by_size)
+        lengths = np.where(length > 0.0, length, largest)[floats]
+        scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+        scaled = diags_array(scale) @ gram[floats][:, floats] @ diags_array(scale)
         motions, more = _unresisted(csr_array(scaled), self._body_of_motion[floats])
         if motions.size:
-            moved = np.zeros((len(length), motions.shape[1]))
-            moved[floats] = by_size[:, None] * motions
-            motion = reductions.from_first_rank(moved[:, np.square(moved).sum(axis=0).argmax()])
+            components = np.zeros((len(length), motions.shape[1]))
+            components[floats] = scale[:, None] * motions
+            most = np.square(components).sum(axis=0).argmax()
+            motion = reductions.from_first_rank(components[:, most])
             raise MechanismError(
-                f"nothing holds {self.describe(moved)}{f'; nor {more} more' * (more > 0)}, "
+                f"nothing holds {self.describe(components)}{f'; nor {more} more' * (more > 0)}, "
                 "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
                 "add a soft spring to a, or give the contact friction."
                 + " Leave this motion of a tool out of free=."
@@ -310,7 +312,7 @@ class FloatingBodies:
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if balanced.satisfied:
             return constraints
-        most = 1e-8 * np.maximum(constraints.sizes, np.abs(constraints.values))
+        most = 1e-8 * np.maximum(constraints.term_sums, np.abs(constraints.values))
         if balanced.unbounded or (np.abs(balanced.excess) > most).any():  # more than rounding
             motion = factors * balanced.shift
             raise MechanismError(
@@ -364,8 +366,8 @@ def _moving(motions: Array, body: Indices) -> Indices:
     return np.asarray(np.unique(body[lengths > 1e-3 * lengths.max(initial=0.0)]))
 
 
-def _largest_of_group(sizes: Array, group: Indices) -> Array:
-    """Return for each of the sizes (k,) the largest size in the same group (k,)."""
+def _largest_of_group(values: Array, group: Indices) -> Array:
+    """Return for each of the values (k,) the largest value in the same group (k,)."""
     largest = np.zeros(int(group.max(initial=-1)) + 1)
-    np.maximum.at(largest, group, sizes)
+    np.maximum.at(largest, group, values)
     return np.asarray(largest[group])

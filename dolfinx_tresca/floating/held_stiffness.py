@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import timed
 from dolfinx_tresca.errors import InputError
@@ -27,9 +29,10 @@ class HeldStiffness:
         self._linear, self._request = linear, request
         self.bodies = Bodies.from_space(linear.V, cell_tags)
         dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
-        nodes = self.bodies.nodes
-        size = dim * float(nodes @ nodes / nodes.sum())  # of each node's body: large ones decide
-        self.method, self.reason = request.choose(size, dim, linear.comm, saddle=is_saddle)
+        counts = self.bodies.node_counts
+        # the mean over all nodes of their body's unknowns: large bodies decide
+        unknowns = dim * float(counts @ counts / counts.sum())
+        self.method, self.reason = request.choose(unknowns, dim, linear.comm, saddle=is_saddle)
         self._modes: rigid_modes.RigidBodyModes | None = None
 
     def factored(
@@ -51,11 +54,17 @@ class HeldStiffness:
             K = springs.added_to(linear.K) if springs else linear.K
             given = request.petsc_options or {}, request.prefix
             if self.method == "cholesky":
-                return cholesky(K, *given, linear.saddle_size), springs
+                return cholesky(K, *given, linear.negative_pivots), springs
             return multigrid(K, linear.V, linear.prescribed, *given), springs
 
     def __str__(self) -> str:
-        return f"{self.bodies.count}{'' if self._modes is None else self._modes.summary}"
+        text, modes = f"{self.bodies.count}", self._modes
+        if modes:
+            floating = np.unique(modes.body[modes.floats])
+            softly_held = np.setdiff1d(modes.body, floating)
+            for bodies, how in ((floating, "by contact alone"), (softly_held, "softly")):
+                text += f", {len(bodies)} of them held {how}" * bool(len(bodies))
+        return text
 
     def check_suits(self, options: SolverOptions) -> None:
         """Check that options suit the bodies and the form. Not collective."""

@@ -59,15 +59,6 @@ class RigidBodyModes:
         return len(self.floats)
 
     @property
-    def summary(self) -> str:
-        """The numbers of floating and of softly held bodies, as the end of a sentence."""
-        floating = np.unique(self.body[self.floats])
-        kinds = (floating, "by contact alone"), (np.setdiff1d(self.body, floating), "softly")
-        return "".join(
-            f", {len(bodies)} of them held {how}" for bodies, how in kinds if len(bodies)
-        )
-
-    @property
     def dim(self) -> int:
         """The dimension of space."""
         return 3 if self.mode_components.shape[0] == 6 * self.bodies.count else 2
@@ -79,17 +70,18 @@ class RigidBodyModes:
         than `NAMED_PART` of the largest motion. The components are (k,), or (k, columns) for
         several motions.
         """
-        moved = self.mode_components @ components.reshape(len(self), -1)
-        moved = moved.reshape(self.bodies.count, -1, moved.shape[1])
-        lengths = np.linalg.norm(moved, axis=(1, 2))
+        motions = self.mode_components @ components.reshape(len(self), -1)
+        # (bodies, 3 or 6, columns): translations and rotations of each body
+        motions = motions.reshape(self.bodies.count, -1, motions.shape[1])
+        lengths = np.linalg.norm(motions, axis=(1, 2))
         moving = np.flatnonzero(lengths > NAMED_PART * lengths.max())
         # with half the fraction, a body may be described that turns little while another one falls
         chosen = int(np.argmax(lengths > 0.9 * lengths.max()))
-        axes, sizes, _ = np.linalg.svd(moved[chosen], full_matrices=False)
-        share = np.square(axes[:, sizes > 1e-3 * sizes[0]]).sum(axis=1)
+        axes, extents, _ = np.linalg.svd(motions[chosen], full_matrices=False)
+        shares = np.square(axes[:, extents > 1e-3 * extents[0]]).sum(axis=1)
         turns = ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
         names = (*(f"translation along {axis}" for axis in "xyz"[: self.dim]), *turns)
-        free = [name for name, size in zip(names, share, strict=True) if size > NAMED_PART]
+        free = [name for name, share in zip(names, shares, strict=True) if share > NAMED_PART]
         text = self.bodies.describe(chosen, moving[moving != chosen].tolist())
         # ranks may differ by rounding
         return str(self.comm.bcast(f"{text}: {', '.join(free)}"))
@@ -104,10 +96,6 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     """Find rigid motions of bodies that supports and K resist little or not at all. Collective.
 
     K of the `LinearSystem` must be assembled.
-
-    Raises:
-        StiffnessError: K has zeros or negative numbers on the diagonal, or a negative stiffness
-            against a rigid motion; the error names the body and its position.
     """
     mesh, prescribed = system.V.mesh, system.prescribed_displacements
     comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
@@ -123,7 +111,7 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.count))
 
     # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
-    stiffness = largest / bodies.nodes ** (2.0 / dim)
+    stiffness = largest / bodies.node_counts ** (2.0 / dim)
     # rounding: the product with K adds some hundred entries of each row, which cancel each other
     nothing = 8.0 * ROUNDING * largest
     held = reduce_array(comm, np.bincount(label, prescribed, minlength=bodies.count)) > 0.0
@@ -158,7 +146,7 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
         stiffness = "zero" if value == 0.0 else f"negative, down to {value:.3g},"
         count = reduce_array(comm, len(np.unique(node[(entries <= 0.0) & (label == body)])))
         raise indefinite_error(
-            f"the stiffness is {stiffness} at {count} of {bodies.nodes[body]} nodes of "
+            f"the stiffness is {stiffness} at {count} of {bodies.node_counts[body]} nodes of "
             f"{bodies.describe(body)}"
         )
     return np.where(largest > 0.0, largest, 1.0)
@@ -217,6 +205,7 @@ class FixingSprings:
         would be deformed locally around a single node.
         """
         modes, label = self.modes, self.modes.bodies.label
+        # the nodes that modes move, and a random number in [0, 1) for each, whatever the partition
         moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
         numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.count))
         start = modes.comm.scan(len(label)) - len(label)
@@ -224,6 +213,7 @@ class FixingSprings:
         chosen = moves & (chance * numbers[label] <= FIXING_NODES)
         fixed_modes = csr_array(diags_array(np.repeat(chosen, modes.dim) * 1.0) @ modes.basis)
         fixed_modes.eliminate_zeros()
+        # such that R'Z is the root of the modes' stiffness
         gram = RankReductions(modes.comm).sparse_inner(fixed_modes, fixed_modes)
         values, vectors = modes.comm.bcast(eigenpairs(gram))
         inverse = vectors @ diags_array(1.0 / values) @ vectors.T
@@ -257,21 +247,21 @@ class FixingSprings:
             return modes.basis, csr_array((k, k))
         # forces of equal size on all bodies, since the accuracy is relative to the whole answer
         forces = product(K, modes.basis)
-        sizes = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
-        sizes[sizes == 0.0] = 1.0
+        norms = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
+        norms[norms == 0.0] = 1.0
         # K couples no two bodies, so that one solve serves one soft mode of every body
         soft, body, n = ~modes.floats, modes.body, forces.shape[0]
-        place = np.searchsorted(body, body, side="right") - np.arange(k)
+        number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
         label = np.repeat(modes.bodies.label, modes.dim)
         moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
         force, answer = K.createVecLeft(), K.createVecRight()
         V = csr_array(modes.basis.shape)
-        for number in np.unique(place[soft]):
-            chosen = np.where(soft & (place == number), 1.0, 0.0)
-            force.array = forces @ (chosen / sizes)
+        for number in np.unique(number_on_body[soft]):
+            chosen = np.where(soft & (number_on_body == number), 1.0, 0.0)
+            force.array = forces @ (chosen / norms)
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
-            V = V + diags_array(answer.array) @ moves @ diags_array(chosen * sizes)
+            V = V + diags_array(answer.array) @ moves @ diags_array(chosen * norms)
         # the stiffness as R'ZZ'V, where V = R - U, since the equal R'KR - (KR)'V would be a small
         # difference of large terms; Z'R is the square root of `RigidBodyModes.stiffness`
         springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
@@ -284,9 +274,6 @@ def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
 
     Not collective. In a mixed space softly held bodies get no springs, since the factorisation of K
     does not need positive pivots there.
-
-    Raises:
-        InputError: the space is mixed and a body floats.
     """
     if system.component is None or not modes:
         return FixingSprings(modes) if modes else None

@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.functions import assembled, owned_values, zero_like
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
+from dolfinx_tresca._base.parallel import largest_abs, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.guaranteed.cells import MeshCells, StressEnergies, bernstein, rigid_motions
@@ -171,7 +171,7 @@ class Bodies:
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), cells.resultants(loading))
         # bodies may be free of the forces that `given` balances, but not of those of u
         forces = map(cells.resultants, (discrete, of_u))
-        lack, *sizes = largest_sizes(self.comm, lacking, *forces)
+        lack, *sizes = largest_abs(self.comm, lacking, *forces)
         if not lack <= IMBALANCE * max(sizes):  # NaN fails, too
             raise ContactError(
                 f"the displacement is not in equilibrium: on a cell, forces of {lack:.1e} are "

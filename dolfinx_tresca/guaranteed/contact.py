@@ -11,7 +11,7 @@ from scipy.sparse import kron
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, Mask, unit
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
+from dolfinx_tresca._base.parallel import largest_abs, reduce_array, summed_at_nodes
 from dolfinx_tresca._base.petsc import as_petsc
 from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
@@ -79,7 +79,7 @@ class ContactSurface:
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
         gaps = every.distance
         if pair.gap is not None:
-            gaps = gaps + NodalValues(V).scalars_at(pair.gap, self._facing, "the gap")
+            gaps = gaps + NodalValues(V).values_at(pair.gap, self._facing, "the gap")[:, 0]
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
@@ -217,7 +217,7 @@ class ContactSurface:
         lack = np.einsum("mk,mkij,mij->m", bounds, products, sizes)
         lack += np.einsum("mkd,mkij,mijd->m", friction, products, slips)
         depths = jumps if self._bonded else np.minimum(openings, 0.0)
-        deepest, size = largest_sizes(self._cells.V.mesh.comm, depths, v.x.array)
+        deepest, size = largest_abs(self._cells.V.mesh.comm, depths, v.x.array)
         needed = f"prescribed displacements that do not penetrate, unlike those of {self._pair}"
         self._cells.require(deepest <= PENETRATION * size, needed)
         return np.stack([complementarity, lack], axis=1)

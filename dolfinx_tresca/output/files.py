@@ -136,7 +136,7 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
     values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
     if isinstance(function, IntegerFunction):
         values = np.rint(values).astype(np.int32)
-    values = np.pad(values, [(0, 0), *((0, 3 - size) for size in shape)])
+    values = np.pad(values, [(0, 0), *((0, 3 - components) for components in shape)])
     return np.asarray(values.reshape(-1, 3 ** len(shape)) if shape else values)
 
 
@@ -352,8 +352,8 @@ def write_vtu(path: Path, grid: Grid) -> None:
     root = _root("UnstructuredGrid")
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")
-    sizes = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
-    piece = ET.SubElement(whole, "Piece", sizes)
+    counts = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
+    piece = ET.SubElement(whole, "Piece", counts)
     nodes = grid.cells[:, 1:]
     sections: dict[str, dict[str, npt.NDArray[Any]]] = {
         "PointData": grid.values,
@@ -393,5 +393,5 @@ def _compressed(values: npt.NDArray[Any]) -> str:
     data = values.tobytes()
     packed = zlib.compress(data, level=1)
     # number of blocks, size of a block, of a shorter last block (there is none), compressed size
-    sizes = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
-    return (b64encode(sizes.tobytes()) + b64encode(packed)).decode()
+    header = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
+    return (b64encode(header.tobytes()) + b64encode(packed)).decode()

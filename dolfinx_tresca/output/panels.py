@@ -320,7 +320,8 @@ def draw_bodies(
         edges = deformed.extract_all_edges().translate(0.4 * lift)
         plotter.add_mesh(edges, color="white", opacity=0.3, line_width=1.0, lighting=False)
         plotter.add_mesh(outline.translate(lift), color=OUTLINE, line_width=1.8, lighting=False)
-        if any([draw_obstacle(plotter, obstacle, near, flat) for obstacle in obstacles.values()]):
+        drawn = [draw_obstacle(plotter, obstacle, near, flat) for obstacle in obstacles.values()]
+        if any(drawn):
             legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
         if flat and contacts:
             for contact in contacts:
@@ -455,8 +456,8 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
         if (values["sticks"] > 0.0).any():
             places = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
-            size = 0.17 * math.sqrt(surface.area / max(surface.n_points, least))
-            disc = pyvista.Disc(inner=0.0, outer=size, normal=normal, c_res=20)
+            radius = 0.17 * math.sqrt(surface.area / max(surface.n_points, least))
+            disc = pyvista.Disc(inner=0.0, outer=radius, normal=normal, c_res=20)
             discs = places.glyph(geom=disc, orient=False, scale=False)
             plotter.add_mesh(discs, color="black", lighting=False)
             legend.append(handle("sticks", "black", "o"))

@@ -97,7 +97,7 @@ class ProblemSummary:
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
         free_dofs, contact_nodes = int(counts[0]), int(counts[1])
         kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
-        count = system.saddle_size
+        count = system.negative_pivots
         beside = f", beside {count} unknowns of other kinds" if count else ""
         size_rows = (
             ("mesh", f"{cells} cells ({kind}), MPI ranks: {comm.size}"),
@@ -118,8 +118,8 @@ class ProblemSummary:
 def figures(values: npt.ArrayLike, error: float) -> str:
     """Return a number or a vector with as many digits, 1 to 8, as its relative error justifies."""
     digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
-    size = float(np.abs(values).max())
-    places = digits - 1 - int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
+    largest = float(np.abs(values).max())
+    places = digits - 1 - int(np.floor(np.log10(largest))) if 0.0 < largest < np.inf else 0
     # + 0.0: components that are rounded to zero have no sign
     texts = [f"{round(float(x), places) + 0.0:.{digits}g}" for x in np.atleast_1d(values)]
     components = f",{UNBROKEN}".join(texts)
@@ -273,10 +273,12 @@ def force_graph(solution: Any) -> str:
         by_obstacles[i] -= force
         by_obstacles[j] += force
     forces |= {(body, len(names) - 1): force for body, force in enumerate(by_obstacles)}
-    sizes = {bodies: float(np.linalg.norm(force)) for bodies, force in forces.items()}
-    largest = max(sizes.values())
-    sizes = {bodies: size for bodies, size in sizes.items() if size > SHOWN_FORCE * largest}
-    shown = sorted({body for bodies in sizes for body in bodies})
+    lengths = {bodies: float(np.linalg.norm(force)) for bodies, force in forces.items()}
+    largest = max(lengths.values())
+    lengths = {
+        bodies: length for bodies, length in lengths.items() if length > SHOWN_FORCE * largest
+    }
+    shown = sorted({body for bodies in lengths for body in bodies})
     if not 0 < len(shown) <= MOST_BODIES:
         return ""
     angles = 2.0 * np.pi * np.arange(len(shown)) / len(shown)
@@ -284,12 +286,12 @@ def force_graph(solution: Any) -> str:
     y = dict(zip(shown, 190.0 - 150.0 * np.sin(angles), strict=True))
     dim = 3 if solution.axisymmetric else solution.u.function_space.mesh.geometry.dim
     lines, texts = [], []
-    for (i, j), size in sizes.items():
+    for (i, j), length in lengths.items():
         lines.append(
             f'<line x1="{x[i]:.0f}" y1="{y[i]:.0f}" x2="{x[j]:.0f}" y2="{y[j]:.0f}" '
-            f'stroke="#7a93a8" stroke-width="{1.0 + 5.0 * size / largest:.1f}"/>'
+            f'stroke="#7a93a8" stroke-width="{1.0 + 5.0 * length / largest:.1f}"/>'
         )
-        label = with_unit(figures(size, solution.local_error), solution.units, "force", dim)
+        label = with_unit(figures(length, solution.local_error), solution.units, "force", dim)
         texts.append((0.7 * x[i] + 0.3 * x[j], 0.7 * y[i] + 0.3 * y[j], label))
     for body in shown:
         lines.append(f'<circle cx="{x[body]:.0f}" cy="{y[body]:.0f}" r="9" fill="#c8553d"/>')

@@ -158,6 +158,7 @@ class SmoothSurface:
         that surround its other corners. If there are none, the facets of a curve count as kinked.
         On a surface (3D), such as a strip one facet wide, the least smooth facet around counts.
         """
+        # slopes at both ends of a side: opposite on a parabola, equal at a kink
         start, end = self._slopes()
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
@@ -282,14 +283,15 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     few neighbours the mean is kept. Valid at nodes whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
+    # all pairs of two corners of a facet; the fit is in units of the distance of neighbours
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
     neighbour = np.tile(nodes.facet_nodes, corners).ravel()
     node, neighbour = node[node != neighbour], neighbour[node != neighbour]
     x_axis, y_axis = tangents(nodes.normals).swapaxes(0, 1)
     offset = nodes.points[neighbour] - nodes.points[node]
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
-    size = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
-    offset = offset / size[node][:, None]
+    spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
+    offset = offset / spacing[node][:, None]
     x, y, height = (dots(offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals))
     # equal weights of the last two terms make the fit independent of the choice of axes
     terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)

@@ -173,8 +173,9 @@ class ContactOperators:
         marked = dolfinx.mesh.meshtags(Q.mesh, tags.dim, facets, values)
         ds = ufl.Measure("ds", domain=Q.mesh, subdomain_data=marked, subdomain_id=1)
         radius = ufl.SpatialCoordinate(Q.mesh)[0]
-        size = 2.0 * np.pi * radius if self._pair.axisymmetric else ufl.as_ufl(1.0)
-        whole = assembled(size * ufl.TestFunction(Q) * ds, Q).x.array
+        is_ring = self._pair.undeformed.sides[0].axisymmetric
+        ring = 2.0 * np.pi * radius if is_ring else ufl.as_ufl(1.0)
+        whole = assembled(ring * ufl.TestFunction(Q) * ds, Q).x.array
         areas.x.array[:] /= np.where(whole > 0.0, whole, 1.0)
         areas.name = "area_fraction"
         return areas
@@ -304,6 +305,7 @@ class ContactOperators:
         V, element = self._V, self._V.element.basix_element
         # exact zeros, halves and quarters, so that nodes off the surface have no entries
         hats = np.round(tabulate(element.cell_type.name, 1, 0, element.points)[0], 12)
+        # for each node of V a cell that has it, and its place in this cell
         cell, place = np.zeros((2, V.dofmap.list.max(initial=-1) + 1), dtype=np.intp)
         cell[V.dofmap.list] = np.arange(len(V.dofmap.list))[:, None]
         place[V.dofmap.list] = np.arange(V.dofmap.list.shape[1])

@@ -32,6 +32,7 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import owners_flags, owns
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
+from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
@@ -134,18 +135,8 @@ def nodes_with_multipliers(
             *(pair, carrying, total, partly, total - paired, prescribed, common),
         )
         return position
-    hint, secondary, primary = "", pair.side("secondary"), pair.side("primary")
-    if pair.obstacle is not None:
-        with errors_on_all_ranks(comm):
-            _, normals = pair.obstacle.at(nodes.points[own])
-        along = dots(normals, nodes.normals[own]) > 0.0
-        reversed_nodes = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
-        if reversed_nodes:
-            hint = (
-                f" At {reversed_nodes} nodes the obstacle's normal is along the outward normal of "
-                "the body, and so points into the body: it must point out of the obstacle, towards "
-                "the surface that may touch it. Reverse it if the tag is right."
-            )
+    secondary, primary = pair.side("secondary"), pair.side("primary")
+    hint = "" if pair.obstacle is None else _hint_at_normals(comm, pair.obstacle, nodes, own)
     if eligible > 0 and pair.sliding == "finite":
         log(
             comm,
@@ -178,6 +169,21 @@ def nodes_with_multipliers(
     )
 
 
+def _hint_at_normals(
+    comm: MPI.Comm, obstacle: RigidObstacle, nodes: SurfaceNodes, own: Mask
+) -> str:
+    """Return a sentence if an obstacle's normals point into the body, else "". Collective."""
+    with errors_on_all_ranks(comm):
+        _, normals = obstacle.at(nodes.points[own])
+    along = dots(normals, nodes.normals[own]) > 0.0
+    count = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
+    return bool(count) * (
+        f" At {count} nodes the obstacle's normal is along the outward normal of the body, and so "
+        "points into the body: it must point out of the obstacle, towards the surface that may "
+        "touch it. Reverse it if the tag is right."
+    )
+
+
 def couple(
     V: Any,
     undeformed: Undeformed,
@@ -186,7 +192,7 @@ def couple(
     integrals: FacetIntegrals,
     carries: Mask,
     shared: Mask,
-    moved: bool,
+    displaced: bool,
 ) -> PairOperators:
     """Find the jumps at secondary nodes by integrals over facets that face the other side.
 
@@ -196,8 +202,8 @@ def couple(
     nodes of all pairs of the group. Collective.
 
     `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
-    and `shared` (n,) are as in `corners_that_carry`. If the surfaces have moved, penetration is an
-    error of the displacement, and no close fit is warned of.
+    and `shared` (n,) are as in `corners_that_carry`. If the surfaces are `displaced`, penetration
+    is an error of the displacement, and no close fit is warned of.
     """
     group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
     pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
@@ -206,18 +212,18 @@ def couple(
     with errors_on_all_ranks(comm):
         # means, weighted by the functions psi_i of the dual basis: of the displacement on both
         # sides, of the six quantities of `FacetIntegrals.means`, and of the coordinates
-        sums = redistribution(carries)
-        weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", sums, integrals.hats), 0.0)
+        spread = redistribution(carries)
+        weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
         scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-        dual = dual_coefficients(integrals.hats, sums) * scale[corners][:, :, None]
-        own = dual @ integrals.values
-        jump = assemble_rows(nodes, corners, facets.nodes, own, columns)
+        dual = dual_coefficients(integrals.hats, spread) * scale[corners][:, :, None]
+        own_rows = dual @ integrals.values  # (facets, corners, k)
+        jump = assemble_rows(nodes, corners, facets.nodes, own_rows, columns)
         across = csr_array(jump.shape)
         if primary is not None:
-            blocks = dual[facet] @ integrals.partner
-            across = assemble_rows(nodes, corners[facet], primary.nodes[partner], blocks, columns)
+            rows = dual[facet] @ integrals.partner
+            across = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, columns)
             jump = jump - across
-        means = np.concatenate([dual @ integrals.means, own @ facets.points], axis=2)
+        means = np.concatenate([dual @ integrals.means, own_rows @ facets.points], axis=2)
         means = nodes.reduced(np.add, means, 0.0)
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     length = np.linalg.norm(means[:, 3:6], axis=1)
@@ -231,22 +237,23 @@ def couple(
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
 
-    sizes = np.einsum("nij,njk->ni", sums[facet], integrals.partner)
+    # the share of each pair of the group in a node's area, from the areas of overlaps
+    areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
     column = partner if primary is None else primary.tag_index[partner]
-    member = group.pair_of_tags[facets.tag_index[facet], column]
+    pair_index = group.pair_of_tags[facets.tag_index[facet], column]
     shares: Array = np.zeros((count, len(group.pairs)))
-    np.add.at(shares, (corners[facet], member[:, None]), sizes)
+    np.add.at(shares, (corners[facet], pair_index[:, None]), areas)
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
-    if not moved and primary is not None:
+    if not displaced and primary is not None:
         # Functions of the dual basis are negative in part: a mean may be less than all distances
-        # around the node. (The gap of moved surfaces must change as N says, or the positions of
+        # around the node. (The gap of displaced surfaces must change as N says, or the positions of
         # finite sliding do not converge.)
-        least = nodes.reduced(np.minimum, integrals.least[:, None], np.inf)
-        gap[:] = np.maximum(gap, least)
+        gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
 
+    # from here on, arrays have rows for the nodes with multipliers alone
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
@@ -300,25 +307,25 @@ def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) ->
         )
 
 
-def dual_coefficients(hats: Array, sums: Array) -> Array:
+def dual_coefficients(hats: Array, spread: Array) -> Array:
     """Return the coefficients (n, corners, corners) of hat functions in the dual basis functions.
 
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
     (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is that of phi_i for i =
     j, else zero. So a nodal pressure is the nodal force divided by the covered area. The hat
-    functions of corners that carry no multiplier are first added to the others, by the `sums` of
+    functions of corners that carry no multiplier are first added to the others, by the `spread` of
     `redistribution`; a facet without multipliers has no basis. The basis sums to 1, so that
     constant pressures are transferred exactly. `hats` (n, corners, corners) are the integrals
     phi_i phi_j.
     """
     every = np.eye(hats.shape[1])
-    masses = sums @ hats @ sums.transpose(0, 2, 1)
+    masses = spread @ hats @ spread.transpose(0, 2, 1)
     weights = masses.sum(axis=2)[:, :, None]
     # a mass matrix M of a strip is nearly singular; the coefficients (1 + t) D (M + t D)^-1, with
     # the row sums D of M, keep the sum of the basis for any t
     shifted = masses + ROUNDING * weights * every
     shifted += np.logical_not(masses.any(axis=2))[:, :, None] * every
-    return np.asarray((1.0 + ROUNDING) * weights * np.linalg.inv(shifted) @ sums)
+    return np.asarray((1.0 + ROUNDING) * weights * np.linalg.inv(shifted) @ spread)
 
 
 def redistribution(receives: Mask) -> Array:

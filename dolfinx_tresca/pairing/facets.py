@@ -165,16 +165,17 @@ class Facets:
 
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with nodes at points (n, k, 3); `bent` is that of this rank."""
-        moved = replace(self, points=points)
+        displaced = replace(self, points=points)
         if self.has_exact_surface:
             local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
-            moved = replace(moved, offsets=np.einsum("nqd,ndi->nqi", local, moved.frames()))
+            offsets = np.einsum("nqd,ndi->nqi", local, displaced.frames())
+            displaced = replace(displaced, offsets=offsets)
         corners = points[:, : self.corners]
         straight = self.hats(self.lagrange_points(self.degree)) @ corners
-        size = np.ptp(corners, axis=1).max(axis=1)
+        widths = np.ptp(corners, axis=1).max(axis=1)
         rounding = MESH_ROUNDING + rounding_of(corners)
-        bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * size).any())
-        return replace(moved, bent=bent)
+        bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * widths).any())
+        return replace(displaced, bent=bent)
 
     def frames(self) -> Array:
         """Return right-handed orthonormal axes (n, 3, 3) in rows: a side, across it, the normal."""
@@ -188,8 +189,8 @@ class Facets:
 
     def area_elements(self, x: Array) -> Array:
         """Return area elements (n, q), of rings if axisymmetric, at reference points (q, dim)."""
-        sizes: Array = np.linalg.norm(self.area_vectors(x), axis=2)
-        return 2.0 * np.pi * self.points_at(x)[:, :, 0] * sizes if self.axisymmetric else sizes
+        areas: Array = np.linalg.norm(self.area_vectors(x), axis=2)
+        return 2.0 * np.pi * self.points_at(x)[:, :, 0] * areas if self.axisymmetric else areas
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
         """Return the `area_vectors` (m, 3) of facets (m,) at one reference point (m, dim) each."""
@@ -201,8 +202,8 @@ class Facets:
         """Return whether facets (p,) and partners (p,) on the primary side have equal corners."""
         corners = self.points[facet, : self.corners]
         offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
-        size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
-        allowed = (MISMATCH + self.rounding[facet]) * size
+        diameters = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
+        allowed = (MISMATCH + self.rounding[facet]) * diameters
         nearest = np.linalg.norm(offset, axis=3).min(axis=2)
         return np.asarray((nearest <= allowed[:, None]).all(axis=1))
 
@@ -280,7 +281,7 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Solve n systems of size dim = 1 or 2; the solution of a singular system is zero."""
+    """Solve n systems of dim = 1 or 2 equations; the solution of a singular system is zero."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         if matrix.shape[1] == 1:
             result = right / matrix[:, 0]
@@ -332,11 +333,11 @@ class SurfaceNodes:
         weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
         order = np.lexsort((weights, node_of_patch))
         weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
-        position = np.argsort(order)[patch].reshape(-1, corners)
+        position = np.argsort(order)[patch].reshape(-1, corners)  # entry of each facet's corners
         vectors, lengths = np.zeros((len(numbers), 3)), np.zeros(len(numbers))
         np.add.at(vectors, position, spread[:, :, None] * normals)
         np.add.at(lengths, position, spread)
-        corner = np.unique(position, return_index=True)[1]
+        corner = np.unique(position, return_index=True)[1]  # one of those at each entry
         points = facets.points[:, :corners].reshape(-1, 3)[corner]
         free = facets.free.reshape(-1, facets.free.shape[2])[corner]
         has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths

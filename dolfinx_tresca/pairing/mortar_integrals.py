@@ -188,17 +188,17 @@ class MortarIntegrals(FacetIntegrals):
         pieces, surface, partner_surface = self._pieces, self._surface, self._partner_surface
         secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
         # the overlaps in the planes of the secondary pieces, cut into simplices
-        simplices, size, pair = overlaps(
+        simplices, areas, pair = overlaps(
             pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
             pieces.local_coordinates(mine, self._partners.points[partners])[:, :, :dim],
         )
-        large = size > (self._rounding * self._area)[mine][pair]
-        simplices, size, pair = simplices[large], size[large], pair[large]
+        large = areas > (self._rounding * self._area)[mine][pair]
+        simplices, areas, pair = simplices[large], areas[large], pair[large]
 
         # quadrature points, (simplices * count,), in the planes and on both facets
         count = len(self._weights)
         places = np.einsum("qc,mcd->mqd", self._barycentric, simplices).reshape(-1, dim)
-        weight = (size[:, None] * self._weights).ravel()
+        weight = (areas[:, None] * self._weights).ravel()
         facet, partner = pieces.facet[mine], self._partners.facet[partners]
         point_pair = np.repeat(pair, count)
         own_facet, their_facet, piece = facet[point_pair], partner[point_pair], mine[point_pair]
@@ -218,7 +218,7 @@ class MortarIntegrals(FacetIntegrals):
         low, high = (side.reshape(-1, count) @ self._weights for side in (start, end))
         hidden = self._visibility.hidden(mine[pair], centres, low, high, partners[pair])
         weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
-        weight = weights_of_nearest(mine, pair, simplices, size, places, apart, weight, self._area)
+        weight = weights_of_nearest(mine, pair, simplices, areas, places, apart, weight, self._area)
         weight = weight * surface.may_touch(
             own_facet, outward, partner_surface, their_facet, their_outward
         )
@@ -278,10 +278,10 @@ class MortarIntegrals(FacetIntegrals):
         for total, integrand in ((self.hats, hats), (self.values, values), (self.means, means)):
             np.add.at(total, added_to, products(integrand)[add])
         np.minimum.at(self.least, added_to, np.minimum.reduceat(least, simplex_starts)[add])
-        sizes = np.add.reduceat(weight, simplex_starts * count)
-        np.add.at(self._covered, piece_of_pair[add], sizes[add])
+        area_of_pair = np.add.reduceat(weight, simplex_starts * count)
+        np.add.at(self._covered, piece_of_pair[add], area_of_pair[add])
         both: Indices = np.column_stack([facet, partner])[kept]
-        paired = add & (sizes > 0.0)
+        paired = add & (area_of_pair > 0.0)
         self._overlaps.append(
             (both[paired], products(partner_values)[paired], both[add & opposite[kept]])
         )
@@ -289,7 +289,7 @@ class MortarIntegrals(FacetIntegrals):
 
 
 def obstacle_integrals(
-    comm: MPI.Comm, pair: ContactPair, obstacle: RigidObstacle, nodes: SurfaceNodes, moved: bool
+    comm: MPI.Comm, pair: ContactPair, obstacle: RigidObstacle, nodes: SurfaceNodes, displaced: bool
 ) -> tuple[SurfaceNodes, FacetIntegrals, Mask]:
     """Integrate over the facets of a surface that face a rigid obstacle. Collective.
 
@@ -298,7 +298,7 @@ def obstacle_integrals(
     straight edges is measured from the smooth curved surface (`SmoothSurface`), since a body of
     degree 2 can take the shape of the obstacle. Where the mesh does not resolve the obstacle, it is
     also seen between the nodes (`_see_between_nodes`). A warning tells how far an undeformed body
-    is entered unseen, unless it is `moved`.
+    is entered unseen, unless it is `displaced`.
 
     Returns:
         the nodes, with the facets of all patches at one entry of each node, since the patches share
@@ -345,10 +345,10 @@ def obstacle_integrals(
         near = _see_between_nodes(obstacle, nodes, surface, turns, integrals)
         seen = distance.min(axis=1, initial=np.inf)
         gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
-        sizes = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
+        areas = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
         corners = nodes.facet_nodes[near]
-        seen[near] = (gaps[corners] / sizes[corners]).min(axis=1, initial=np.inf)
-    if not moved:
+        seen[near] = (gaps[corners] / areas[corners]).min(axis=1, initial=np.inf)
+    if not displaced:
         front = np.flatnonzero(facing)
         with errors_on_all_ranks(comm):
             points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
@@ -423,8 +423,8 @@ def _see_between_nodes(
     above = dots(close.points_at(x) - points, outward)
     seen = np.dstack([distance, above, above, normals])
 
-    sizes = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
-    own_height = SEEN_HEIGHT / 8.0 * facets.dim * turns * sizes
+    widths = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
+    own_height = SEEN_HEIGHT / 8.0 * facets.dim * turns * widths
     height = nodes.reduced(np.maximum, own_height[:, None], 0.0, near)
     least = nodes.reduced(np.minimum, distance.min(axis=1)[:, None], np.inf, near)
     heights = np.where(share > 0.0, height[corners][:, :, None], 1.0)

@@ -118,14 +118,9 @@ class PairOperators:
         return self.distance + self.added_gap
 
     @property
-    def axisymmetric(self) -> bool:
-        """Whether areas are areas of rings about the axis x = 0."""
-        return self.undeformed.sides[0].axisymmetric
-
-    @property
     def sizes(self) -> Array:
         """(n,) linear size of each node's whole area [length]; for a ring its width."""
-        if not self.axisymmetric:
+        if not self.undeformed.sides[0].axisymmetric:
             return np.asarray(self.areas ** (1.0 / (self.normals.shape[1] - 1)))
         radii = np.maximum(self.places[:, 0], np.sqrt(self.areas / np.pi))  # at the axis: a disc
         return np.asarray(self.areas / (2.0 * np.pi * radii))
@@ -160,6 +155,7 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
     """Return rows (n, dofs) of the jump (nodes, nodes of V) along unit vectors (n, d)."""
+    # each entry becomes dim entries, in the columns of its node's components
     dim, of_rows = directions.shape[1], jump[rows]
     values = np.repeat(directions, np.diff(of_rows.indptr), axis=0) * of_rows.data[:, None]
     columns = of_rows.indices.astype(np.int64)[:, None] * dim + np.arange(dim)

@@ -60,7 +60,7 @@ def pair_group(
     axis x = 0.
     """
     undeformed = Undeformed.from_mesh(V, prescribed, group, axisymmetric=axisymmetric)
-    return _pair(V, undeformed, undeformed.sides, moved=False)
+    return _pair(V, undeformed, undeformed.sides, displaced=False)
 
 
 def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[PairOperators]:
@@ -70,27 +70,27 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
     undeformed surfaces is this gap plus N u, with the N in the result. `u` (nodes, dim of space) is
     the displacement of this rank's nodes [length], from `straightened`.
     """
-    return _pair(V, undeformed, undeformed.displaced(V, u), moved=True)
+    return _pair(V, undeformed, undeformed.displaced(V, u), displaced=True)
 
 
 def _pair(
-    V: Any, undeformed: Undeformed, sides: Sequence[Facets], *, moved: bool
+    V: Any, undeformed: Undeformed, sides: Sequence[Facets], *, displaced: bool
 ) -> list[PairOperators]:
     """Compute N, T and the gap of pairs from their facets, see `pair_group`. Collective."""
     group, comm = undeformed.group, V.mesh.comm
     pair = group.surfaces
     owned, partners, primary = sides[0], sides[-1], None
     if pair.obstacle is not None:
-        nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, owned), moved)
-        nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, moved)
+        nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, owned), displaced)
+        nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, displaced)
         shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
         around, across = halos(V, owned, partners, pair.search_limit)
         if pair.touches_itself:
-            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", across, moved)
+            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", across, displaced)
         else:
-            nodes = _surface_nodes(V, pair, "secondary", around, moved)
-            primary_nodes = _surface_nodes(V, pair, "primary", across, moved)
+            nodes = _surface_nodes(V, pair, "secondary", around, displaced)
+            primary_nodes = _surface_nodes(V, pair, "primary", across, displaced)
         facets, primary = nodes.facets, primary_nodes.facets
 
         def may_meet(facet: Indices, partner: Indices) -> Mask:
@@ -108,10 +108,10 @@ def _pair(
         if order is not None:
             shared = owners_flags(V, nodes.numbers, shared)
         carries = corners_that_carry(V, nodes, integrals, shared)
-    group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, moved)
-    if pair.pairing == "nodes" and primary is not None and not moved:
+    group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, displaced)
+    if pair.pairing == "nodes" and primary is not None and not displaced:
         _check_meshes_match(V, pair, group_operators, nodes)
-    if not moved and len(group.pairs) > 1:
+    if not displaced and len(group.pairs) > 1:
         areas = reduce_array(comm, group_operators.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
             if area == 0.0 and single.sliding == "small":
@@ -152,7 +152,7 @@ def _check_meshes_match(
 
 
 def _surface_nodes(
-    V: Any, pair: ContactPair, side: SideName, halo: Facets, moved: bool
+    V: Any, pair: ContactPair, side: SideName, halo: Facets, displaced: bool
 ) -> SurfaceNodes:
     """Return the nodes of the facets on a side that this rank pairs. Collective.
 
@@ -171,10 +171,10 @@ def _surface_nodes(
                 f"{shown_place(nodes.points[has_no_normal][0])}: the normals of the facets around "
                 "that node cancel. Repair the mesh there."
             )
-    if moved or pair.touches_itself:
+    if displaced or pair.touches_itself:
         return nodes
-    size = np.linalg.norm(np.ptp(halo.points, axis=1), axis=1)
-    smallest = reduce_array(comm, size.min(initial=np.inf), MPI.MIN)
+    diameters = np.linalg.norm(np.ptp(halo.points, axis=1), axis=1)
+    smallest = reduce_array(comm, diameters.min(initial=np.inf), MPI.MIN)
     tags = pair.facet_tags
     outside = tags.indices[tags.values != getattr(pair, side)]
     outside = fem.locate_dofs_topological(V, tags.dim, outside)

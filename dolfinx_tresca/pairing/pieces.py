@@ -117,7 +117,7 @@ class Pieces:
     def _trees(self) -> list[tuple[Indices, Any]]:
         """The pieces of each size, between two powers of two, and a tree of their centres."""
         _, exponent = np.frexp(self.radii)
-        classes = [np.flatnonzero(exponent == size) for size in np.unique(exponent)]
+        classes = [np.flatnonzero(exponent == power) for power in np.unique(exponent)]
         return [(members, cKDTree(self.centres[members])) for members in classes]
 
     def on_normals(
@@ -318,6 +318,7 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     lines = mine.centres, mine.normals, reach, far
     around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
     partners = Pieces.from_facets(across)
+    # if a facet may penetrate deeply, the primary facets around it decide whether it does
     depth: Array = np.zeros(len(far))
     for own, partner in mine.facing(np.arange(len(far)), partners, far):
         offsets = mine.centres[own] - partners.centres[partner]
@@ -326,8 +327,8 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     deep = near > reach
     if comm.allreduce(deep.any(), MPI.LOR):
         points = mine.centres[deep], mine.normals[deep], near[deep], np.zeros(deep.sum())
-        both = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
-        across = near_lines(comm, primary, *both)
+        joined = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
+        across = near_lines(comm, primary, *joined)
     return around, across
 
 

@@ -151,11 +151,11 @@ def _strength(law: Friction) -> tuple[int, float, float]:
     """
     if not isinstance(law, DryFriction):
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
-    sizes = []
+    values = []
     for bound in (law.terms.coefficient, law.terms.constant):
         entries = bound if isinstance(bound, tuple) else (bound,)
-        sizes.append(max(real(getattr(entry, "value", entry)) or 0.0 for entry in entries))
-    return 1, sizes[0], sizes[1]
+        values.append(max(real(getattr(entry, "value", entry)) or 0.0 for entry in entries))
+    return 1, values[0], values[1]
 
 
 def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
@@ -166,6 +166,7 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([pair.obstacle is None for pair in pairs])
     obstacles = [id(pair.obstacle) for pair in pairs]
+    # (pairs, pairs) whether two pairs may belong to one group
     linked = np.outer(single, single) & np.equal.outer(obstacles, obstacles)
     np.fill_diagonal(linked, False)
     if linked.any():
@@ -235,8 +236,8 @@ class Undeformed:
             node = V.dofmap.index_map.global_to_local(facets.nodes.ravel())
             points = facets.points.copy()
             points[:, :, : u.shape[1]] += u[node.reshape(facets.nodes.shape)]
-            moved = facets.moved_to(points)
-            result.append(with_checked_areas(V.mesh.comm, moved, self.group.surfaces, name))
+            displaced = facets.moved_to(points)
+            result.append(with_checked_areas(V.mesh.comm, displaced, self.group.surfaces, name))
         return result
 
 
@@ -272,6 +273,7 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
     cell, sides = kinds[0].name, len(kinds)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
     place = (of_cell[cells] == facets[:, None]).argmax(axis=1)
+    # the nodes of each side of a cell, as places in the list of the cell's nodes
     closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)]
     corners = len(basix.topology(kinds[0])[0])
 
@@ -366,17 +368,16 @@ def _offsets_of_tags(
 
     `limit` is the largest distance of a corner from its surface, relative to the size of the facet.
     """
-    count = len(facets.lagrange_points(OFFSET_DEGREE))
-    result = np.full((len(facets.points), count, 3), np.nan)
+    result = np.full((len(facets.points), len(facets.lagrange_points(OFFSET_DEGREE)), 3), np.nan)
     for k, tag in enumerate(tags):
         if tag not in surfaces:
             continue
         index = np.flatnonzero(facets.tag_index == k)
         of_tag = facets.selected(index)
-        result[index] = _offsets(of_tag, tag, surfaces[tag].pieces, dim)
-        size = np.ptp(of_tag.points, axis=1).max(axis=1)
+        result[index] = _offsets(of_tag, tag, surfaces[tag].projections, dim)
+        widths = np.ptp(of_tag.points, axis=1).max(axis=1)
         away = np.linalg.norm(result[index, : facets.corners], axis=2).max(axis=1)
-        relative = (away / size).max(initial=0.0)
+        relative = (away / widths).max(initial=0.0)
         if relative > limit:
             raise InputError(
                 f"facets with tag {tag} are not on their surface in `geometry`: a corner is "
@@ -387,8 +388,8 @@ def _offsets_of_tags(
     return result
 
 
-def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -> Array:
-    """Return the `Facets.offsets` of facets by projection onto their surface.
+def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
+    """Return the `Facets.offsets` of facets by `ExactSurface.projections` onto their surface.
 
     A facet belongs to the piece of the surface that is nearest to its corners; of pieces that all
     corners are on, to the one that is nearest to its centre: a facet at an edge is not projected
@@ -396,23 +397,24 @@ def _offsets(facets: Facets, tag: int, pieces: Sequence[Projection], dim: int) -
     """
     points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
 
-    def moves(piece: Projection, points: Array) -> Array:
+    def offsets(projection: Projection, points: Array) -> Array:
         places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
-        moved = project_points(places, f"geometry[{tag}]", piece, dim) - places
-        return np.asarray(moved[index.ravel()].reshape(points.shape))
+        steps = project_points(places, f"geometry[{tag}]", projection, dim) - places
+        return np.asarray(steps[index.ravel()].reshape(points.shape))
 
-    if len(pieces) == 1:
-        return moves(pieces[0], points)
+    if len(projections) == 1:
+        return offsets(projections[0], points)
     corners = points[:, : facets.corners]
     probes = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
-    away = np.stack([np.linalg.norm(moves(piece, probes), axis=2) for piece in pieces])
+    # distances (projections, facets, corners and centre)
+    away = np.stack([np.linalg.norm(offsets(onto, probes), axis=2) for onto in projections])
     of_corners = away[:, :, :-1].max(axis=2)
     rounding = ON_SURFACE * np.ptp(corners, axis=1).max(axis=1)
     tied = of_corners <= of_corners.min(axis=0) + rounding
     nearest = np.where(tied, away[:, :, -1], np.inf).argmin(axis=0)
     result: Array = np.zeros_like(points)
-    for k, piece in enumerate(pieces):
-        result[nearest == k] = moves(piece, points[nearest == k])
+    for k, projection in enumerate(projections):
+        result[nearest == k] = offsets(projection, points[nearest == k])
     return result
 
 

@@ -124,7 +124,8 @@ class Visibility:
         line, facet = line[keep], facet[keep]
         corners = pieces.local_coordinates(targets[line], side.points[facet])
         normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
-        # all pairs of a facet and a point of the piece in front of it
+        # all pairs of a facet and a point of the piece in front of it; the points of the piece
+        # `targets[k]` are the `counts[k]` numbers from `starts[k]` on
         pairs = np.cumsum(counts[line])
         blocks = np.flatnonzero(np.diff(pairs // (50 * AT_ONCE))) + 1
         for block in np.split(np.arange(len(line)), blocks):
@@ -189,6 +190,7 @@ def _around_origin(corners: Array) -> Mask:
         low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
         slack = MISMATCH * (high - low)
         return np.asarray((low <= slack) & (high >= -slack))
+    # seen from inside, all sides turn in the same sense
     turns = _cross(corners, np.roll(corners, -1, axis=1))
     slack = MISMATCH * np.abs(turns).sum(axis=1, keepdims=True)
     return np.asarray((turns >= -slack).all(axis=1) | (turns <= slack).all(axis=1))
@@ -199,15 +201,15 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
 
     Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
     the order of the corners: (n, a, d) and (n, b, d) of segments (d = 1) or convex polygons (d =
-    2). Return the simplices (m, d + 1, d), their sizes (m,) [length^d], and the index (m,) of their
+    2). Return the simplices (m, d + 1, d), their areas (m,) [length^d], and the index (m,) of their
     pair, ascending.
     """
     low = np.maximum(own.min(axis=1), partners.min(axis=1))
     high = np.minimum(own.max(axis=1), partners.max(axis=1))
     if own.shape[2] == 1:
-        size = (high - low)[:, 0]
-        pair = np.flatnonzero(size > 0.0)
-        return np.stack([low, high], axis=1)[pair], size[pair], pair
+        length = (high - low)[:, 0]
+        pair = np.flatnonzero(length > 0.0)
+        return np.stack([low, high], axis=1)[pair], length[pair], pair
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
     windows, polygons = own[near], partners[near]
     clockwise = _cross(windows, np.roll(windows, -1, axis=1)).sum(axis=1) < 0.0
@@ -236,7 +238,7 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     corners of an empty polygon are equal. If corners coincide up to rounding, a polygon may cross
     its line more than twice; all crossings are kept.
     """
-    n, a, _ = polygons.shape
+    n, corners, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
     height = _cross(along[:, None], polygons - start[:, None])
     next_height = np.roll(height, -1, axis=1)
@@ -245,9 +247,9 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     share = np.divide(height, height - next_height, out=np.zeros_like(height), where=crosses)
     crossing = polygons + share[:, :, None] * (following - polygons)
     # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
-    points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * a, 2)
-    dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * a)
-    count = 2 * a - dropped.sum(axis=1, keepdims=True)
+    points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * corners, 2)
+    dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * corners)
+    count = 2 * corners - dropped.sum(axis=1, keepdims=True)
     place = np.minimum(np.arange(count.max(initial=1)), np.maximum(count - 1, 0))
     candidate = np.take_along_axis(np.argsort(dropped, axis=1, kind="stable"), place, axis=1)
     return np.take_along_axis(points, candidate[:, :, None], axis=1)
@@ -262,7 +264,7 @@ def weights_of_nearest(
     piece: Indices,
     pair: Indices,
     simplices: Array,
-    size: Array,
+    area: Array,
     places: Array,
     gap: Array,
     weight: Array,
@@ -277,19 +279,19 @@ def weights_of_nearest(
         piece: (pairs,) the secondary piece of each pair, ascending.
         pair: (simplices,) the pair of each simplex, ascending.
         simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
-        size: (simplices,) sizes of the simplices [length^d].
+        area: (simplices,) areas of the simplices [length^d].
         places: (points, d) quadrature points in the plane of the secondary piece [length].
         gap: (points,) gap along the normal [length], positive if open.
         weight: (points,) quadrature weights, 0 for points that are already excluded.
-        piece_area: (pieces,) sizes of all secondary pieces [length^d].
+        piece_area: (pieces,) areas of all secondary pieces [length^d].
     """
     if len(pair) == 0:
         return weight
     count = len(places) // len(pair)
-    counts = weight.reshape(-1, count).any(axis=1)
-    covered = np.bincount(piece[pair], size * counts, minlength=len(piece_area))
+    has_weight = weight.reshape(-1, count).any(axis=1)
+    covered = np.bincount(piece[pair], area * has_weight, minlength=len(piece_area))
     overlaid = (covered > (1.0 + MISMATCH) * piece_area)[piece[pair]]
-    crowded = np.flatnonzero(overlaid & counts)
+    crowded = np.flatnonzero(overlaid & has_weight)
     if len(crowded) == 0:
         return weight
     inner = places.reshape(-1, count, places.shape[1])[crowded].reshape(-1, places.shape[1])
@@ -317,8 +319,8 @@ def weights_of_nearest(
 class SelfContact:
     """Data that decide which facet of a surface that touches itself is the secondary one.
 
-    They are the columns of `Facets.origins`, with the centre and normal in the undeformed mesh; and
-    the corners (n, corners), the `place` (n, 3) of the centre and the `present_normal` (n, 3) now.
+    They are the columns of `Facets.origins`, with the centre and normal in the undeformed mesh; the
+    nodes at the corners (n, corners); and the `present_centre` (n, 3) and `present_normal` (n, 3).
     """
 
     def __init__(self, facets: Facets) -> None:

@@ -271,8 +271,8 @@ class ContactProblem(ContactProcess):
         dual, fields = solved.dual, solved.fields
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
         # no data change, so slip bounds are not asked for
-        contact = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
-        return goal_error(goal, contact, fields.u, energy_error)
+        linearised = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
+        return goal_error(goal, linearised, fields.u, energy_error)
 
     @collective(comm_of_self)
     def guaranteed_error(self, *, gain: float = GAIN) -> GuaranteedError:
@@ -363,8 +363,8 @@ class ContactProblem(ContactProcess):
         contact.check_inputs("a guaranteed bound")
         gain = checked_number("gain", gain, "(0, inf]")
         state = contact.state
-        moved = any(w.x.array.any() for w in (state.geometry, state.configuration))
-        if contact.slides_far or self.comm.allreduce(moved, op=MPI.LOR):
+        displaced = any(w.x.array.any() for w in (state.geometry, state.configuration))
+        if contact.slides_far or self.comm.allreduce(displaced, op=MPI.LOR):
             raise InputError(
                 "a guaranteed bound needs surfaces that are paired where they are undeformed: take "
                 "sliding='small', and do not call update_geometry()."

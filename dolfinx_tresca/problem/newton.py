@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_integer, checked_number
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
 from dolfinx_tresca.dual.nodal_values import replaced
@@ -225,10 +225,10 @@ class EnergyBalance:
         change = problem.u.x.array - self._start
         owned = change[: len(forces)]
         starts_there = self._begins_at_end and np.array_equal(start, self._start)
-        moved, held, driven, elsewhere = largest_sizes(
+        free, held, driven, elsewhere = largest_abs(  # motions, and 1 if it starts elsewhere
             problem.comm, owned[tangent.moves], owned[tangent.prescribed], driven, not starts_there
         )
-        is_far = moved > FAR * max(held, driven)
+        is_far = free > FAR * max(held, driven)
         if elsewhere or (tangent.has_material and not is_far):
             return np.nan, False
         powers = []
@@ -245,8 +245,7 @@ class EnergyBalance:
         local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
         at_ends, stored, contact, work = reduce_array(problem.comm, local)
         released = at_ends - stored + contact - work - dissipation
-        is_large = released > SNAP * max(abs(stored), abs(contact))
-        return released, bool(is_large and is_far)
+        return released, bool(released > SNAP * max(abs(stored), abs(contact)) and is_far)
 
 
 @dataclass
@@ -255,7 +254,7 @@ class Newton:
 
     Attributes:
         options: options of Newton's method.
-        contact: options of the contact algorithm.
+        contact_options: options of the contact algorithm.
         start: values of u at which the solve starts.
         fraction: part of the change of load that has been applied.
         solution: the solution for `fraction` of the change of load; if no part was solved, the
@@ -271,7 +270,7 @@ class Newton:
 
     problem: TangentProblem
     options: NewtonOptions
-    contact: SolverOptions
+    contact_options: SolverOptions
     units: Units | None
     observe: Callable[[Iteration], bool]
     level: int
@@ -348,33 +347,17 @@ class Newton:
                 self._sliding.pair_first_configuration()
         while True:
             number += 1
-            before = problem.u.x.array.copy()
             where = f"Newton step {number} with {problem.tangent.fraction:.4g} of the load"
             try:
                 solution = self._step()
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
-            from_start = problem.energy_norm(solution.w.x.array - self.start)
-            # u may go back to zero
-            size = problem.comm.bcast(max(problem.energy_norm(solution.w.x.array), from_start))
-            change = problem.energy_norm(solution.w.x.array - before)
-            problem.u.x.array[:] = solution.w.x.array
+            scale, correction, residual, fault = self._take(solution)
             pressed_before, pressed = pressed, problem.normal_forces_at_nodes() > 0.0
             if number > 1:
                 self._flips += (pressed != pressed_before).any(axis=0)
-            reason = "forces are NaN or infinite, as cells turn inside out"
-            try:
-                residual = problem.residual_norm()
-            except StiffnessError as error:
-                residual, reason = math.nan, str(error).rstrip(".")
-            forces = problem.contact_forces()
-            if self.level > 0:
-                size = min(size, BALANCE * problem.norm_of_correction(forces) or size)
-            size = size or problem.rounding_norm() / self.options.accuracy
-            # sums may differ between ranks in the last digit, verdicts must not
-            size, correction, residual = problem.comm.bcast((size, change / size, residual / size))
-            norm = residual * size
+            norm = residual * scale
             add_cost(self.cost, solution)
             # The residual of the first step may be small only because nothing had moved yet. Steps
             # with added stiffness lead from an unstable equilibrium to a stable one, and on the way
@@ -408,27 +391,50 @@ class Newton:
                 self.stopped = True
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
-                return f"{where}: {reason}"
+                return f"{where}: {fault}"
             excess = 1.0 if reached else residual / self.options.accuracy
             if self._sliding is not None:
                 self._sliding.observe(problem.displacement)
-                excess = max(excess, self._sliding.error / self.contact.geometry_accuracy)
+                excess = max(excess, self._sliding.error / self.contact_options.geometry_accuracy)
             if reached and excess <= 1.0:
                 return ""
             errors.append(excess)
             if self._sliding is not None:
                 self._sliding.pair_next_configuration()
             elif grows:  # residuals in two configurations would not be comparable
-                return f"{where} diverges: residual {residual:.1e}, after {norm_before / size:.1e}"
+                return f"{where} diverges: residual {residual:.1e}, after {norm_before / scale:.1e}"
             if not self._may_continue(errors):
                 failure = (
                     f"{where} converges too slowly: residual {residual:.1e}, after "
-                    f"{norm_before / size:.1e}; requested {self.options.accuracy:.0e}"
+                    f"{norm_before / scale:.1e}; requested {self.options.accuracy:.0e}"
                 )
                 if self._sliding is not None:
                     failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
                 return failure
             norm_before = norm
+
+    def _take(self, solution: ContactSolution) -> tuple[float, float, float, str]:
+        """Take the displacement u of a step's solution. Collective.
+
+        Return the norm to which errors are relative (`NewtonStep.correction`), the correction, the
+        residual, and why the residual is NaN if it is.
+        """
+        problem, values = self.problem, solution.w.x.array
+        from_start = problem.energy_norm(values - self.start)  # u may go back to zero
+        scale = problem.comm.bcast(max(problem.energy_norm(values), from_start))
+        change = problem.energy_norm(values - problem.u.x.array)
+        problem.u.x.array[:] = values
+        fault = "forces are NaN or infinite, as cells turn inside out"
+        try:
+            residual = problem.residual_norm()
+        except StiffnessError as error:
+            residual, fault = math.nan, str(error).rstrip(".")
+        if self.level > 0:
+            forces = problem.contact_forces()
+            scale = min(scale, BALANCE * problem.norm_of_correction(forces) or scale)
+        scale = scale or problem.rounding_norm() / self.options.accuracy
+        # sums may differ between ranks in the last digit, verdicts must not
+        return *problem.comm.bcast((scale, change / scale, residual / scale)), fault
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps, for observers. Not collective."""
@@ -475,8 +481,8 @@ class Newton:
                 self.problem.factor(*ADDED[level])
                 # in the Newton residual, the contact residual is multiplied by the added stiffness
                 forcing = FORCING if level > 0 else 1.0
-                options = self.contact.at_least(self.options.accuracy * forcing)
-                return self.problem.solve(options, self.units, self._observed, self.contact)
+                options = self.contact_options.at_least(self.options.accuracy * forcing)
+                return self.problem.solve(options, self.units, self._observed, self.contact_options)
             except StiffnessError as error:
                 failure = error
         if failure.evidence:

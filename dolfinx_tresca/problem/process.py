@@ -168,8 +168,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def update_geometry(self, u: fem.Function | None = None) -> None:
         """Pair the surfaces in the configuration displaced by u. Collective.
 
-        With small sliding, nodes keep their normals and their partners on the other side. After
-        this call, these are those in the configuration displaced by u, the gap at a later
+        With small sliding, nodes keep their normals and their partners on the other side. This call
+        takes the normals and partners in the configuration displaced by u; the gap at a later
         displacement v is d - N (v - u) with the distance d of the displaced surfaces, and stresses
         are forces divided by displaced areas. `sliding="finite"` does this in each solve. For an
         iteration of your own, repeat `solve` and `update_geometry` within a load step until the
@@ -286,8 +286,8 @@ class ContactProcess(PetscOwner, Tabulated):
         if number is None:
             raise InputError(f"step must be an integer, such as 3, found {shown(step)}.")
         self._check_material(material)
-        path = Path(self.comm.bcast(str(path)))
-        write_state(path, self._contact.state_at_start, number, material)
+        path, contact = Path(self.comm.bcast(str(path))), self._contact
+        write_state(path, contact.state.at_start(contact.depends_on_start), number, material)
 
     @collective(comm_of_self, ignored=("path",))
     def load_state(self, path: str | Path, *, material: Sequence[fem.Function] = ()) -> int:
@@ -429,12 +429,12 @@ class ContactProcess(PetscOwner, Tabulated):
         solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
         u, bounds = solved.fields.u, self._contact.slip_bounds()
-        solution = LinearisedContact(solved.dual, solved.multipliers, u, bounds)
+        linearised = LinearisedContact(solved.dual, solved.multipliers, u, bounds)
         if count := solved.fields.counts.undecided:
             text = "derivative: %d node(s) are about to change their state: it is one-sided"
             log(self.comm, text, count)
         data = DataOfSolution(self._contact, self._residual_at(u), u)
-        data.linearise(solution)
+        data.linearise(linearised)
         data.check_controls(controls)
         return data
 
@@ -470,8 +470,8 @@ class ContactProcess(PetscOwner, Tabulated):
         supports = Supports(
             self._residual_at(u), contact.linear, u, fields.contact_force, facet_tags
         )
-        moved = fields.u if contact.slides_far else None
-        result = supports.reaction(where, point, moved=moved, frames=contact.jump.frames)
+        displaced = fields.u if contact.slides_far else None
+        result = supports.reaction(where, point, displaced=displaced, frames=contact.jump.frames)
         tag = integer(where)
         if tag is None:
             name = f"bcs[{[where is bc for bc in contact.linear.bcs].index(True)}]"

@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, collapse
 from dolfinx_tresca._base.functions import with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
@@ -338,7 +338,7 @@ class TangentProblem(ContactSystem):
             held[section.tangential] = sticks[section.node]
             return held
         jumps = jump.of_unknowns(self.u.x.petsc_vec)
-        (largest,) = largest_sizes(self.comm, jumps)
+        (largest,) = largest_abs(self.comm, jumps)
         held[section.normal] = (jump.gap - jumps)[section.normal] <= TOUCHING * largest
         held[section.tangential] = False
         return held
@@ -352,9 +352,9 @@ class TangentProblem(ContactSystem):
         with replaced([self.u], [self._reference]):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
-        free, moves = stiffness.createVecs()
-        free.array, moves.array = factor * self.tangent.moves, self.tangent.moves
-        stiffness.diagonalScale(free, moves)
+        rows, columns = stiffness.createVecs()
+        rows.array, columns.array = factor * self.tangent.moves, self.tangent.moves
+        stiffness.diagonalScale(rows, columns)
         return stiffness
 
     def begin(self) -> None:

@@ -120,10 +120,10 @@ class FrictionCurve:
     @property
     def depends_on_slip(self) -> bool:
         """Whether F changes with the slip, at any of many pressures and slips."""
-        sizes = np.append(0.0, np.logspace(-12.0, 12.0, 49))
-        pressure, slip = (grid.ravel() for grid in np.meshgrid(sizes, sizes, indexing="ij"))
+        grid = np.append(0.0, np.logspace(-12.0, 12.0, 49))
+        pressure, slip = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
         with np.errstate(all="ignore"):
-            F = self.values(pressure, slip).reshape(len(sizes), len(sizes))
+            F = self.values(pressure, slip).reshape(len(grid), len(grid))
         return not np.array_equal(F, np.broadcast_to(F[:, :1], F.shape), equal_nan=True)
 
     def values(self, pressure: Array, slip: Array) -> Array:

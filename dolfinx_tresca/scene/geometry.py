@@ -205,13 +205,13 @@ class ExactSurface(NamedTuple):
     """The surface that the facets with a tag approximate.
 
     Attributes:
-        pieces: the projection onto each smooth piece of the surface.
+        projections: the projection onto each smooth piece of the surface.
         project: projection of nodes onto the whole surface; nodes of an edge are projected onto the
             edge, so that a flat surface on its other side stays flat. Raises InputError if too few
             nodes are on the surface before they are moved.
     """
 
-    pieces: Sequence[Projection]
+    projections: Sequence[Projection]
     project: Projection
 
 
@@ -258,15 +258,15 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
     points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
-    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(sizes[dim] <= 1e-9 * sizes[0])  # less is rounding
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extents[dim] <= 1e-9 * extents[0])  # less is rounding
 
 
 def _grid(model: Any, dim: int, entity: int, per_axis: int) -> Array:
     """Return the parameters (per_axis^dim, dim) of a grid of points on a surface or a curve."""
     low, high = model.getParametrizationBounds(dim, entity)
-    lines = np.linspace(low, high, per_axis)
-    return np.stack(np.meshgrid(*lines.T), axis=-1).reshape(-1, dim)
+    axes = np.linspace(low, high, per_axis).T
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, dim)
 
 
 def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
@@ -328,7 +328,7 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
         step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - locate(parameters))[:, :, None]
         previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
-        moved = np.einsum("ni,nik->nk", parameters - previous, tangents)
-        if np.abs(moved).max(initial=0.0) <= rounding:
+        shifts = np.einsum("ni,nik->nk", parameters - previous, tangents)
+        if np.abs(shifts).max(initial=0.0) <= rounding:
             break
     return locate(parameters).T

@@ -269,8 +269,8 @@ def name_groups(model: Any, name: str) -> None:
     Names are the labels of the file; without, bodies are `body 1`, `body 2`, and faces of `pin` are
     `pin/1`, `pin/2`. In 2D bodies are surfaces. The `name` of the model is for error messages.
     """
-    dim, size = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
-    if dim < 2 or (dim == 2 and size[2] > 1e-5 * size.max()):  # boxes of OpenCASCADE are loose
+    dim, extent = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
+    if dim < 2 or (dim == 2 and extent[2] > 1e-5 * extent.max()):  # boxes of OpenCASCADE are loose
         raise MeshError(
             f"'{name}' has {len(model.getEntities(2))} faces and no solid: the faces do not close "
             "a body (an open shell). Close and sew them in the CAD program, and export solids."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -12,15 +12,16 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
-from dolfinx_tresca._base.parallel import largest_sizes, log, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
 from dolfinx_tresca.dual.load_steps import SlipHistory
-from dolfinx_tresca.dual.program import DualProgram
+from dolfinx_tresca.dual.program import DualProgram, relative_change
 from dolfinx_tresca.options import SolverOptions
+from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.solution.fields import ContactState, Surface, SurfaceFields
 from dolfinx_tresca.solution.forces import (
     Resultant,
@@ -29,7 +30,6 @@ from dolfinx_tresca.solution.forces import (
     resultants_on,
 )
 from dolfinx_tresca.solvers.convergence import BALANCED, energy_norm, relative_error
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
@@ -130,17 +130,17 @@ def evaluate(
 
     The slip history that is returned is the one after this solution, if it becomes a load step.
     """
-    B, comm = dual.jump, dual.jump.comm
-    section = dual.section_at(solution.multipliers, solution.gradient)
+    B, comm, x, c = dual.jump, dual.jump.comm, solution.multipliers, solution.c
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
-    error = dual.end_at(solution.multipliers, solved, solution.displacement_tolerance)
-    stress, c = solution.multipliers * B.stress_scale, solution.c
-    r, missing = dual.in_equilibrium(solution.multipliers, solved, c)
+    error = dual.compute_displacement(x, solved, solution.displacement_tolerance)
+    r, missing = dual.in_equilibrium(x, solved, c)
     in_frames.x.scatter_forward()
     w = in_frames if B.frames is None else B.frames.displacement(in_frames)
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
+
+    # jumps in B's rows, and by how much gaps have closed at nodes; tools move the primary side
     jump, by_tools = B.of_unknowns(solved), dual.jump_of_tools(c)
     normal = np.flatnonzero(~B.is_tangential)
     closing = np.concatenate(B.closings(u))
@@ -148,43 +148,21 @@ def evaluate(
     increment = jump + by_tools - dual.offset
     origin = dual.history.origin.copy()  # the next step starts from where tools are now
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
-    target = dual.local_minimiser(solution.multipliers, r)
-    moved = dual.admissible.at_point(solution.multipliers, r).section(target)
-    stick = moved.face(target).stick
-    slip = np.zeros_like(jump)
-    slips = section.tangential[~stick[section.node]]
-    slip[slips] = increment[slips]
-    dissipation = float(dual.inner(solution.multipliers, slip))
-    increment, moved_by = (values * B.length_scale for values in (increment, slip))
-
-    change, largest = dual.local_change(solution.multipliers, r)
-    limit = max(change, EDGE * largest)
-    states, steps, before, counts = node_values(dual, normal, moved, target, moved_by, limit)
+    states, steps, before, slip, nodal_results = node_values(dual, solution, r, increment)
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
-    lengths = np.linalg.norm(steps[:, :-1], axis=1)
-    at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
-    peak_pressure, greatest_slip, greatest_total_slip = largest_sizes(comm, *at_pressed)
-    in_space = zero_like(B.system.f, "f")
-    owned = -B.whole_force(solution.multipliers).array
-    in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
-    in_space.x.scatter_forward()
-    force_on_nodes = B.system.displacement(in_space, "contact_force")
-    displaced = u if B.frames is not None or B.system.is_tangent else None
-    nodal = owned_values(force_on_nodes)
-    on_bodies = nodal_resultants(u.function_space, nodal, displaced, bodies.label, bodies.count)
-    pairs = B.by_pair
+    dissipation, increment = float(dual.inner(x, slip)), increment * B.length_scale
+
+    stress, pairs = x * B.stress_scale, B.by_pair
     fields: list[SurfaceFields] = []
     openings: list[float] = []
     forces: list[Array] = []
-    force = np.zeros(1 + u.function_space.mesh.geometry.dim)  # normal, and tangential vector
     numbers = np.array([(len(p.nodes), pressed[p.nodes].sum(), len(p.tangential)) for p in pairs])
     node_counts, pressed_counts, tangential_counts = reduce_array(comm, numbers).T.tolist()
     for pair, surface, tangential_count in zip(pairs, surfaces, tangential_counts, strict=True):
         operators, nodes = pair.operators, pair.nodes
         tractions = pair.nodal_vectors(stress)
-        pressure, traction = tractions[:, 0], tractions[:, 1:]
         values = {
-            "pressure": pressure,
+            "pressure": tractions[:, 0],
             "gap": operators.gap - closing[nodes],
             "initial_gap": operators.gap,
             "state": states[nodes],
@@ -192,117 +170,159 @@ def evaluate(
         }
         if tangential_count > 0:
             since = pair.nodal_vectors(increment)[:, 1:]
-            values["traction"] = traction
-            values["slip"] = before[nodes, :-1] + since
-            values["slip_path"] = paths[nodes]
-            if dual.history.begun:
-                values["slip_increment"] = since
+            values |= {"traction": tractions[:, 1:], "slip": before[nodes, :-1] + since}
+            values |= {"slip_path": paths[nodes]}
+            values |= {"slip_increment": since} if dual.history.begun else {}
         fields.append(surface.fields(operators, u, values))
         openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
-        force += operators.weights @ tractions
-        vectors = pressure[:, None] * operators.normals + traction
-        forces.append(-operators.weights[:, None] * vectors)
-    steps_of_pairs = [steps[nodes] for nodes in B.nodes]
-    history = replace(dual.history, origin=origin).after(B, slip, steps_of_pairs, dissipation)
-    resultant = reduce_array(comm, force)
-    places = np.vstack([pair.operators.places for pair in pairs])
-    index = np.repeat(np.arange(len(pairs)), [len(pair.nodes) for pair in pairs])
-    on_pairs = resultants_on(comm, places, np.vstack(forces), index, len(pairs), on_bodies[0].point)
-    openings = largest_sizes(comm, *openings)
-    pair_states = map(PairState, pressed_counts, node_counts, openings)
-    primal, dual_energy = dual.energies(solution.multipliers, solved, c, error)
+        forces.append(operators.weights[:, None] * tractions)
+    pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
+    history = replace(dual.history, origin=origin)
+    history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
+    lengths = np.linalg.norm(steps[:, :-1], axis=1)
+    at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
+    peak_pressure, greatest_slip, greatest_total_slip = largest_abs(comm, *at_pressed)
+    primal, dual_energy = dual.energies(x, solved, c, error)
     if B.frames is not None:
         work = B.frames.work(B.system.assemble_forces())
         primal, dual_energy = primal - work, dual_energy - work
-    bound = dual.energy_bound(solution.multipliers, r, error + missing)
-    # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
-    # rounding
-    norm = energy_norm(dual, Point(solution.multipliers, c, r), error + missing)
-    if norm <= dual.energy_resolution():
-        norm = 0.0
-        log(
-            comm,
-            "the displacement is zero to rounding: the contact carries all loads, and an accuracy "
-            "in the energy norm has nothing to refer to",
-        )
-    cells = dual.compliance.estimator.cell_errors(deformation) if estimate else None
-    # slip bounds change as the tractions of each node move to the local minimiser
-    bounds, changed = (cones.radius[np.isfinite(section.radius)] for cones in (section, moved))
-    change, largest = largest_sizes(comm, changed - bounds, bounds)
     evaluation = Evaluation(
         u=u,
         w=w,
         deformation=deformation,
         axisymmetric=B.system.axisymmetric,
         surfaces=tuple(fields),
-        contact_force=force_on_nodes,
         multipliers=stress,
         primal_energy=primal,
         dual_energy=dual_energy,
         dissipation=dissipation,
         total_dissipation=history.dissipation,
-        energy_error_bound=relative_error(dual, bound, norm),
-        bound_is_rigorous=dual.compliance.exact,
-        local_error=dual.local_error(solution.multipliers, r),
-        bound_error=change / largest if largest > 0.0 else float(change > 0.0),
-        cell_errors=cells,
-        discretisation_error=None if cells is None else total(cells) / (norm or 1.0),
-        counts=counts,
-        normal_force=float(resultant[0]),
-        tangential_force=float(np.linalg.norm(resultant[1:])),
-        pair_resultants=on_pairs,
         pair_states=tuple(pair_states),
-        body_resultants=on_bodies,
-        between_bodies=resultants_between(
-            u.function_space, bodies.label, [pair.operators for pair in pairs], forces
-        ),
         body_names=bodies.names,
         peak_pressure=peak_pressure,
         greatest_slip=greatest_slip,
         greatest_total_slip=greatest_total_slip,
         reactions={},
+        **nodal_results,
+        **energy_errors(dual, Point(x, c, r), error + missing, deformation if estimate else None),
+        **forces_on(dual, x, u, bodies, [pair.operators for pair in pairs], forces),
     )
     return evaluation, history
 
 
-def node_values(
-    dual: DualProgram,
-    normal: Indices,
-    moved: FeasibleSet,
-    target: Array,
-    moved_by: Array,
-    limit: float,
-) -> tuple[Array, Array, Array, NodeCounts]:
-    """Return states and slips of the nodes of all pairs, and their counts. Collective.
+def energy_errors(
+    dual: DualProgram, point: Point, error: float, estimated: fem.Function | None
+) -> dict[str, Any]:
+    """Return the fields of an `Evaluation` that tell its error in the energy norm. Collective.
 
-    Args:
-        dual: the dual problem.
-        normal: positions of the normal multipliers.
-        moved: feasible set at each node's `DualProgram.local_minimiser`.
-        target: (size,) the minimisers.
-        moved_by: (size,) slip of this step [length], zero in rows of sticking nodes.
-        limit: change of its traction up to which a node's state is undecided [stress].
+    The displacement that belongs to the multipliers has an `error` [energy^(1/2)]. The error of the
+    mesh is that of an `estimated` displacement, if there is one.
+    """
+    bound = dual.energy_bound(point.x, point.r, error)
+    # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
+    # rounding
+    norm = energy_norm(dual, point, error)
+    if norm <= dual.energy_resolution():
+        norm = 0.0
+        log(
+            dual.jump.comm,
+            "the displacement is zero to rounding: the contact carries all loads, and an accuracy "
+            "in the energy norm has nothing to refer to",
+        )
+    cells = None if estimated is None else dual.compliance.estimator.cell_errors(estimated)
+    return {
+        "energy_error_bound": relative_error(dual, bound, norm),
+        "bound_is_rigorous": dual.compliance.exact,
+        "cell_errors": cells,
+        "discretisation_error": None if cells is None else total(cells) / (norm or 1.0),
+    }
+
+
+def forces_on(
+    dual: DualProgram,
+    x: Array,
+    u: fem.Function,
+    bodies: Bodies,
+    operators: Sequence[PairOperators],
+    forces: Sequence[Array],
+) -> dict[str, Any]:
+    """Return the fields of an `Evaluation` with contact forces and their resultants. Collective.
+
+    At the nodes of each pair the contact forces (n, 1 + d) [force] are a pressing and a tangential
+    one.
+    """
+    B, comm, V = dual.jump, dual.jump.comm, u.function_space
+    in_space = zero_like(B.system.f, "f")
+    owned = -B.whole_force(x).array
+    in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
+    in_space.x.scatter_forward()
+    on_nodes = B.system.displacement(in_space, "contact_force")
+    displaced = u if B.frames is not None or B.system.is_tangent else None
+    on_bodies = nodal_resultants(V, owned_values(on_nodes), displaced, bodies.label, bodies.count)
+    on_secondary = [
+        -force[:, :1] * pair.normals - force[:, 1:]
+        for pair, force in zip(operators, forces, strict=True)
+    ]
+    places = np.vstack([pair.places for pair in operators])
+    index = np.repeat(np.arange(len(forces)), [len(force) for force in forces])
+    all_forces, point = np.vstack(on_secondary), on_bodies[0].point
+    normal_force, *tangential = reduce_array(comm, np.vstack(forces).sum(axis=0))
+    return {
+        "contact_force": on_nodes,
+        "normal_force": float(normal_force),
+        "tangential_force": float(np.linalg.norm(tangential)),
+        "pair_resultants": resultants_on(comm, places, all_forces, index, len(forces), point),
+        "body_resultants": on_bodies,
+        "between_bodies": resultants_between(V, bodies.label, operators, on_secondary),
+    }
+
+
+def node_values(
+    dual: DualProgram, solution: DualSolution, r: Array, increment: Array
+) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+    """Return states and slips of the nodes of all pairs, and results about them. Collective.
+
+    The gradient at the multipliers is r (size,), and `increment` (size,) the jump in B's rows since
+    the slip origin, divided by `JumpOperator.length_scale`.
 
     Returns:
         the states (n,); slip vectors and increments of the slip paths (n, d + 1) of this step
-        [length]; those of all earlier steps; and the number of nodes in each state, on all ranks.
+        [length]; those of all earlier steps; the slip (size,) in B's rows, scaled like the
+        increment; and the fields of an `Evaluation` with the number of nodes in each state, and
+        with the changes of tractions and slip bounds up to each node's local minimiser.
     """
-    B, node = dual.jump, dual.jump.row_nodes[normal]
-    numbers = [len(pair.nodes) for pair in B.pairs]
+    B, x = dual.jump, solution.multipliers
+    # nodes are in the state that they would take if their neighbours were fixed
+    section, target = dual.section_at(x, solution.gradient), dual.local_minimiser(x, r)
+    target_section = dual.admissible.at_point(x, r).section(target)
+    stick = target_section.face(target).stick
+    slip = np.zeros_like(increment)
+    slipping = section.tangential[~stick[section.node]]
+    slip[slipping] = increment[slipping]
+    change, largest, rounding = dual.local_change(x, r)
+    limit = max(change, EDGE * largest)  # of a node's traction, up to which its state is undecided
+    is_finite = np.isfinite(section.radius)
+    bounds, bounds_at_target = section.radius[is_finite], target_section.radius[is_finite]
+    bound_change, largest_bound = largest_abs(B.comm, bounds_at_target - bounds, bounds)
+
+    normal = np.flatnonzero(~B.is_tangential)
+    node_of_row, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]
     bonded = np.repeat([pair.bonded for pair in B.pairs], numbers)
     tangential_rows = reduce_array(B.comm, [len(pair.tangent_node) for pair in B.pairs])
     has_friction = np.repeat(tangential_rows > 0, numbers)
     nodes = slice(len(bonded))  # the discs of nodes; further discs belong to frictionless rows
-    sticks, rubs = moved.face(target).stick[nodes], moved.radius[nodes] > 0.0
+    sticks, rubs = stick[nodes], target_section.radius[nodes] > 0.0
     pressed = np.zeros(len(bonded), dtype=np.bool_)
     # strict inequality: a node without gap and without load is not pressed
-    pressed[node] = bonded[node] | (target[normal] > 0.0)
-    scale = np.ones(len(moved.radius))
-    scale[moved.node] = B.stress_scale[moved.tangential]
-    has_circle = np.isfinite(moved.radius) & (moved.radius > 0.0)
-    away = np.abs(moved.norms(target) - np.where(has_circle, moved.radius, 0.0)) * scale
+    pressed[node_of_row] = bonded[node_of_row] | (target[normal] > 0.0)
+    # where tractions are near the edge of their friction disc, or pressures near zero
+    scale = np.ones(len(target_section.radius))
+    scale[target_section.node] = B.stress_scale[target_section.tangential]
+    has_circle = np.isfinite(target_section.radius) & (target_section.radius > 0.0)
+    radius = np.where(has_circle, target_section.radius, 0.0)
+    away = np.abs(target_section.norms(target) - radius) * scale
     undecided = (has_circle & (away <= limit))[nodes]
-    undecided[node] |= np.abs(target * B.stress_scale)[normal] <= limit
+    undecided[node_of_row] |= np.abs(target * B.stress_scale)[normal] <= limit
 
     conditions = {
         ContactState.BONDED: bonded,
@@ -314,14 +334,19 @@ def node_values(
     }
     values = [float(state) for state in conditions]
     states = np.select(list(conditions.values()), values, float(ContactState.OPEN))
-    vectors = np.vstack(B.nodal_vectors(moved_by))[:, 1:]
+    vectors = np.vstack(B.nodal_vectors(slip * B.length_scale))[:, 1:]
     slips_before = zip(B.pairs, dual.history.slipped, strict=True)
     before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
-    counted = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
+    path = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
     sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
-    return states, np.column_stack([vectors, counted]), before, NodeCounts(*map(int, sums))
+    results = {
+        "counts": NodeCounts(*map(int, sums)),
+        "local_error": relative_change(change, largest, rounding),
+        "bound_error": relative_change(bound_change, largest_bound),
+    }
+    return states, np.column_stack([vectors, path]), before, slip, results
 
 
 def status_of_fields(

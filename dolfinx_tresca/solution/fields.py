@@ -219,8 +219,7 @@ class Surface:
             # `scalar`
             count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
             parent = np.zeros(count, dtype=np.int32)
-            corners = scalar.dofmap.list.shape[1]
-            of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, :corners]]
+            of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, : scalar.dofmap.list.shape[1]]]
             parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
             originals = fem.Function(scalar), fem.Function(vector)
             surfaces += [cls(mesh, *originals, parent, work, pair, entity_maps) for pair in group]

@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
-from dolfinx_tresca._base.parallel import largest_sizes, reduce_array
+from dolfinx_tresca._base.parallel import largest_abs, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -111,7 +111,7 @@ def resultants_between(
     """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
     Forces of obstacles, and forces within a body, are left out. Moments are about the mean of the
-    points at which the forces act, weighted by their sizes. Forces (n, d) act on the secondary
+    points at which the forces act, weighted by their lengths. Forces (n, d) act on the secondary
     nodes of each pair; the label (owned nodes,) is the body of a node.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
@@ -122,9 +122,9 @@ def resultants_between(
     on, by = label[secondary], labels_of(V, label, partners.astype(np.int64))[column]
     on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
-    sizes = np.linalg.norm(on_lower, axis=1)[:, None]
-    rows = np.hstack([on_lower, moments(places, on_lower), sizes * places, sizes])
-    acts = sizes[:, 0] > 0.0
+    weights = np.linalg.norm(on_lower, axis=1)[:, None]
+    rows = np.hstack([on_lower, moments(places, on_lower), weights * places, weights])
+    acts = weights[:, 0] > 0.0
     bodies = np.column_stack([np.minimum(on, by), np.maximum(on, by)])[acts]
     own_bodies, index = np.unique(bodies, axis=0, return_inverse=True)
     own_sums = np.zeros((len(own_bodies), rows.shape[1]))
@@ -162,13 +162,13 @@ class Supports:
         where: Any,
         point: npt.ArrayLike | None,
         *,
-        moved: fem.Function | None = None,
+        displaced: fem.Function | None = None,
         frames: BodyFrames | None = None,
     ) -> Resultant:
         """Return the force and moment of a support, see `ContactProcess.reaction`. Collective.
 
-        Forces act at places that have moved, or None, with the frames of linear bodies that have
-        turned.
+        Forces act on the displaced nodes, or with None on the undeformed bodies; the `frames` are
+        those of linear bodies that have turned.
         """
         V, u = self.contact_force.function_space, self.u
         if u.function_space.element != V.element:
@@ -182,7 +182,7 @@ class Supports:
         forces -= self.contact_force.x.array[: len(forces)]
         free = ~self.system.prescribed
         contact = self.contact_force.x.array
-        unbalanced, *largest = largest_sizes(V.mesh.comm, forces[free], forces, contact)
+        unbalanced, *largest = largest_abs(V.mesh.comm, forces[free], forces, contact)
         # solutions of the default accuracy leave less than a hundredth of this
         if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding():
             raise ContactError(
@@ -195,7 +195,7 @@ class Supports:
         if springs:
             forces -= self._at_nodes(springs)
         index = np.zeros(V.dofmap.index_map.size_local, dtype=np.intp)
-        (result,) = nodal_resultants(V, forces, moved, index, 1)
+        (result,) = nodal_resultants(V, forces, displaced, index, 1)
         return result if point is None else result.about(point)
 
     def _at_nodes(self, form: Any) -> Array:
@@ -215,7 +215,7 @@ class Supports:
         opposite.x.array[:] = u.x.array * (1.0 - 2.0 * parity)
         opposite.x.scatter_forward()
         forces = self._at_nodes(ufl.derivative(self.residual, u, opposite))
-        (largest,) = largest_sizes(u.function_space.mesh.comm, forces)
+        (largest,) = largest_abs(u.function_space.mesh.comm, forces)
         return 1e-10 * largest
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:

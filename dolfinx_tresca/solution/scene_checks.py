@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, dots, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
-from dolfinx_tresca._base.parallel import RankReductions, largest_sizes, reduce_array, warn
+from dolfinx_tresca._base.parallel import RankReductions, largest_abs, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import shown_place
 from dolfinx_tresca.pairing.facets import FACING_COSINE, Facets
@@ -99,25 +99,26 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     """Return the departures of the bodies that turn and that deform most. Collective."""
     comm, values, label = u.function_space.mesh.comm, owned_values(u), bodies.label
     dim, sums = values.shape[1], RankReductions(comm)
-    size = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
+    diagonal = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
+    # the rigid motion of each body that is nearest to u, by least squares
     modes = bodies.rigid_modes(dim)
     normal_equations = sums.sparse_inner(modes, modes).tocsc()
     rigid = spsolve(normal_equations, sums.inner(modes, values.ravel()))
     beyond = np.linalg.norm(values - (modes @ rigid).reshape(-1, dim), axis=1)
     own_strain = np.zeros(bodies.count)
-    np.maximum.at(own_strain, label, beyond / size[label])
+    np.maximum.at(own_strain, label, beyond / diagonal[label])
     strain = reduce_array(comm, own_strain, MPI.MAX)
-    angle = np.linalg.norm(rigid.reshape(bodies.count, -1)[:, dim:], axis=1) / size
+    angle = np.linalg.norm(rigid.reshape(bodies.count, -1)[:, dim:], axis=1) / diagonal
     # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
     angle[angle <= 2.0 * strain] = 0.0
     body = int(angle.argmax())
-    ends = 0.5 * angle[body] * size[body]
+    ends = 0.5 * angle[body] * diagonal[body]
     text = f"{bodies.describe(body)} turns by {angle[body]:.3g} rad: its ends move by some "
     text += f"{ends:.3g}, and linear theory, which allows {ROTATION.largest} rad, swells it by "
     text += f"{angle[body] * ends:.2g} and leaves its stresses in their first directions"
     yield Departure(float(angle[body]), ROTATION, text, ADVICE_TO_BODIES)
     body = int(strain.argmax())
-    text = f"{bodies.describe(body)} deforms by {strain[body] * size[body]:.3g} beyond its "
+    text = f"{bodies.describe(body)} deforms by {strain[body] * diagonal[body]:.3g} beyond its "
     text += f"rigid motion, {strain[body]:.3g} times its diagonal"
     yield Departure(float(strain[body]), DEFORMATION, text, ADVICE_TO_BODIES)
 
@@ -137,9 +138,9 @@ def motions_of_pairs(
     `paired`. In the solution u, tractions are (size,) [stress], and `places` the motions (pairs, 3,
     4).
     """
-    V, moved = u.function_space, u.copy()
-    moved.x.array[:] -= paired.x.array
-    vectors = jump.vectors(moved)
+    V, since_pairing = u.function_space, u.copy()
+    since_pairing.x.array[:] -= paired.x.array
+    vectors = jump.vectors(since_pairing)
     shape = straightened(V, paired.x.array.reshape(-1, V.dofmap.index_map_bs))
     for pair, operators, jumps, stress, place in zip(
         pairs, jump.pairs, vectors, jump.nodal_vectors(tractions), places, strict=True
@@ -175,18 +176,19 @@ def _motions_of_pair(
     slips = jumps - dots(jumps, normals)[:, None] * normals
     pressed: Mask = force > 0.0
     length = np.linalg.norm(slips, axis=1)
-    places, sizes = operators.places[pressed], operators.sizes[pressed]
-    lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
+    places, widths = operators.places[pressed], operators.sizes[pressed]
+    lengths = np.column_stack([widths, length[pressed], length[pressed] / widths])
     corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
     extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
     facet, slip, in_facets, *bounds = reduce_array(comm, extremes, MPI.MAX)
     if slip == 0.0:
         return
-    size = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
+    # `bounds` are the largest coordinates, and the negated least ones
+    extent = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
     text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
-    of_size = f"{text}, {slip / size:.2g} times the size {size:.3g} of the contact, but keep "
-    of_size += "their normals and partners"
-    yield Departure(slip / size, SLIP, of_size, ADVICE_TO_PAIRS)
+    relative = f"{text}, {slip / extent:.2g} times the size {extent:.3g} of the contact, but keep "
+    relative += "their normals and partners"
+    yield Departure(slip / extent, SLIP, relative, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
     if in_facets > 1.0 and pair.obstacle is None:
         facets = operators.undeformed.displaced(V, shape)[-1]
@@ -248,14 +250,14 @@ def hint_at_overlap(
 ) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
-    (extent,) = largest_sizes(comm, points)
+    (extent,) = largest_abs(comm, points)
     rounding = ROUNDING * extent
     for pair, paired, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
         if pair.obstacle is not None and surface.obstacle is not None:
-            moved = _carried(paired.places, pair.obstacle.motion, surface.obstacle.motion)
-            closing -= dots(moved, paired.normals)
+            carried = _carried(paired.places, pair.obstacle.motion, surface.obstacle.motion)
+            closing -= dots(carried, paired.normals)
         depth = np.where(paired.prescribed, closing - paired.gap, 0.0)
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
@@ -275,14 +277,14 @@ def hint_at_overlap(
         )
 
 
-def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: float) -> None:
+def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, eigenvalue: float) -> None:
     """Log a warning if slip bounds decrease with pressure or slip. Collective.
 
     With such bounds there may be several solutions. A decrease with the slip is harmless if its
     rate is less than 1 divided by the largest eigenvalue of A, both at the present slip and on
     average from zero to it: this is the least traction that elastic bodies need for one more unit
     of slip. The cones have the bounds F(p, v) p at the slips of a solution, with multipliers x
-    (size,), and `compliance` is this eigenvalue, or a lower bound.
+    (size,), and `eigenvalue` is that of A, or a lower bound.
     """
     section = cones.section(x)
     face = section.face(2.0 * x)  # nodes on their circles slip
@@ -292,7 +294,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, compliance: flo
     mean = np.zeros_like(by_slip)
     np.divide(section.radius - at_rest, cones.slip, out=mean, where=slips)
     steepest = min(by_slip.min(initial=0.0), mean.min(initial=0.0))
-    least = [by_pressure.min(initial=0.0), compliance * steepest]
+    least = [by_pressure.min(initial=0.0), eigenvalue * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
     if falling < 0.0:
         warn(

@@ -70,14 +70,14 @@ class EqualityConstraints:
             only.
         softness: (k, k) S, symmetric and positive semidefinite.
         values: (k,) e.
-        sizes: (k,) sums of the absolute values of the terms of e, from which rounding errors are
-            estimated.
+        term_sums: (k,) sums of the absolute values of the terms of e, from which rounding errors
+            are estimated.
     """
 
     columns: csr_array
     softness: csr_array
     values: Array
-    sizes: Array
+    term_sums: Array
     reductions: Reductions
 
     @classmethod
@@ -104,10 +104,10 @@ class EqualityConstraints:
 
     def softness_with(self, added: float) -> csr_array:
         """Return S + s (I - V V'), with the `soft_directions` V and a number s >= 0: (k, k)."""
-        return csr_array(self.softness + added * self._exact_directions) if added else self.softness
+        return csr_array(self.softness + added * self._exact_projector) if added else self.softness
 
     @cached_property
-    def _exact_directions(self) -> csr_array:
+    def _exact_projector(self) -> csr_array:
         """The projector I - V V' onto the directions of equations that are not soft."""
         vectors = self.soft_directions[1]
         return csr_array(eye_array(len(self)) - vectors @ vectors.T)
@@ -123,8 +123,8 @@ class EqualityConstraints:
         """
         if len(self) == 0:
             return 0.0
-        missing, loads = self.residual(x, c), self.along_absolute(np.abs(x)) + self.sizes
-        exact = self._exact_directions @ missing
+        missing, loads = self.residual(x, c), self.along_absolute(np.abs(x)) + self.term_sums
+        exact = self._exact_projector @ missing
         soft_terms = loads + abs(self.softness) @ np.abs(c)
         ratios = (
             float(np.linalg.norm(residual)) / max(float(np.linalg.norm(terms)), LEAST_DIVISOR)
@@ -170,7 +170,7 @@ DAMPING, RELAXATION, MORE_DAMPING = 1e-4, 1e-3, 10.0
 PART_ACCURACY = 1e-6
 
 #: The search ends without a solution if all multipliers that satisfy the equations have a norm
-#: above this multiple of the norm of `EqualityConstraints.sizes`.
+#: above this multiple of the norm of `EqualityConstraints.term_sums`.
 LARGEST_REACTION = 1e4
 
 
@@ -210,8 +210,8 @@ def balance(
     whose gradient is the residual of the equation. The method is Newton's with damping, and with
     the part of each step that minimises phi. Where no pressure acts, phi is flat; there the damping
     is reduced from step to step, and steps grow until z has left the flat region. If phi falls
-    below -depth for y = 0, with depth = (`LARGEST_REACTION` |sizes|)^2 / 2, all x in Lambda and c
-    with G'x + C c = e have |x|^2 + c'C c > 2 depth (weak duality).
+    below -depth for y = 0, with depth = (`LARGEST_REACTION` |term_sums|)^2 / 2, all x in Lambda and
+    c with G'x + C c = e have |x|^2 + c'C c > 2 depth (weak duality).
 
     Args:
         constraints: the equations.
@@ -223,8 +223,8 @@ def balance(
     """
     G, inner = constraints.columns, constraints.reductions.sparse_inner
     target = (1.0 + reserve) * constraints.values
-    sizes = np.maximum(constraints.sizes, np.abs(constraints.values))
-    depth = 0.5 * LARGEST_REACTION**2 * float(sizes @ sizes) if start is None else np.inf
+    term_sums = np.maximum(constraints.term_sums, np.abs(constraints.values))
+    depth = 0.5 * LARGEST_REACTION**2 * float(term_sums @ term_sums) if start is None else np.inf
     vectors = constraints.soft_directions[1]
     C: csr_array = vectors @ vectors.T if softness is None else softness
     y = np.zeros(G.shape[0]) if start is None else start
@@ -242,15 +242,15 @@ def balance(
         gradient = excess(z)
         # two rounding errors of the residual: from summing it, and from G z
         p = feasible_set.project(y + G @ z)
-        moved = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
-        terms, of_sum = constraints.along_absolute(np.column_stack([np.abs(p), moved])).T
-        small = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + sizes))
-        cancelled = agreed(np.finfo(float).eps * of_sum)
+        shifted = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
+        terms, of_shift = constraints.along_absolute(np.column_stack([np.abs(p), shifted])).T
+        rounding = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + term_sums))
+        of_shift = agreed(np.finfo(float).eps * of_shift)
         # once `unbounded` is proven, one more step makes the direction of z more accurate
-        if unbounded or ROUNDING * cancelled.max() > LOST * small.max():
+        if unbounded or ROUNDING * of_shift.max() > LOST * rounding.max():
             break
-        if (np.abs(gradient) <= small + cancelled).all():
-            return Balance(z, gradient, bool((np.abs(gradient) <= small).all()))
+        if (np.abs(gradient) <= rounding + of_shift).all():
+            return Balance(z, gradient, bool((np.abs(gradient) <= rounding).all()))
         unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
         hessian = inner(G, feasible_set.projection_derivative(y + G @ z) @ G) + C
         step = -agreed(

@@ -438,11 +438,11 @@ class FrictionCones(FeasibleSet):
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)
         zero, unit = np.zeros(len(nodes)), np.ones(len(nodes))
         F = np.where(grows, self.coefficient, zero)
-        secant, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
+        hypot, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
         np.divide(self.limit, F, out=end, where=F > 0.0)
         origins = np.array([[zero, zero], [zero, self.radius], [end, self.radius + self.limit]])
-        directions = np.array([[zero, unit], [unit / secant, F / secant], [unit, zero]])
-        lengths = np.array([self.radius, end * secant, np.inf * unit])
+        directions = np.array([[zero, unit], [unit / hypot, F / hypot], [unit, zero]])
+        lengths = np.array([self.radius, end * hypot, np.inf * unit])
         with np.errstate(invalid="ignore"):  # edges at infinity
             along = np.clip(((given - origins) * directions).sum(axis=1), 0.0, lengths)
             feet = origins + along[:, None] * directions
@@ -452,7 +452,7 @@ class FrictionCones(FeasibleSet):
         pressure, radius = np.where(inside, given, feet[edge, :, nodes].T)
         ratio = np.ones_like(radius)
         np.divide(radius, given[1], out=ratio, where=given[1] > 0.0)
-        moves = ((along > 0.0) & (along < lengths))[edge, nodes]
-        direction = np.where(moves, directions[edge, :, nodes].T, 0.0)
+        is_inner = ((along > 0.0) & (along < lengths))[edge, nodes]
+        direction = np.where(is_inner, directions[edge, :, nodes].T, 0.0)
         jacobian = np.where(inside, np.eye(2)[:, :, None], direction[:, None] * direction)
         return pressure, ratio, jacobian

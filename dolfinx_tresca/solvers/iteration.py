@@ -170,7 +170,7 @@ class Iterate:
             return 1.0
         return min(-slope / curvature, 1.0)
 
-    def begin_at(self, x: Array) -> None:
+    def set_point(self, x: Array) -> None:
         """Set the point to initial multipliers x (size,), and compute the gradient. Collective.
 
         Known products may determine the gradient, for example if a solve with another load has
@@ -232,7 +232,7 @@ class ModelNewton:
     def run(self, start: Array) -> DualSolution:
         """Iterate until a status ends the iteration. Collective."""
         self.compute_first_products()
-        unused_target = target = self.begin_at(start)
+        unused_target = target = self.choose_start(start)
         iterate = self.iterate
         while (status := self.check_progress(target or iterate.point)) is None:
             target, unused_target = unused_target or self.target(), None
@@ -253,18 +253,18 @@ class ModelNewton:
         store, b = self.problem.compliance.known_products(), self.problem.b
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
-            if store.largest_ritz_value == 0.0 and store.near is not None:
+            if store.largest_eigenvalue_estimate == 0.0 and store.near is not None:
                 store.near.add(b, store.apply_near(b))
-            elif store.largest_ritz_value == 0.0:
+            elif store.largest_eigenvalue_estimate == 0.0:
                 store.add(b, self.problem.compliance.apply(b))
 
-    def begin_at(self, start: Array) -> NewtonPoint | None:
+    def choose_start(self, start: Array) -> NewtonPoint | None:
         """Begin at the start, or at zero if the residual is larger at the start. Collective.
 
         A load step with bounds that depend on the pressure always begins at the start. There may be
         several fixed points, and a process continues with the nearest one. For example, friction
         keeps a wedge in place after the force that pushed it in is removed, although zero tractions
-        satisfy the law of friction as well.
+        satisfy the law of friction as well. Return the model's solution there, if known.
         """
         problem, constraints = self.problem, self.problem.constraints
         self.iterate = iterate = Iterate(problem)
@@ -279,7 +279,7 @@ class ModelNewton:
             shift = balance(constraints, problem.admissible, start=start).shift
             start = problem.admissible.project(start + constraints.columns @ shift)
         if norm(problem, start) > 0.0:
-            iterate.begin_at(start)
+            iterate.set_point(start)
         target = self.find_constraint_multipliers()
         if self.options.rtol:
             iterate.finest = FORCING * self.history.residual_error
@@ -312,7 +312,7 @@ class ModelNewton:
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the bound of sigma_max; any number without loads."""
-        return self.options.step_factor / (self.iterate.store.largest_ritz_value or 1.0)
+        return self.options.step_factor / (self.iterate.store.largest_eigenvalue_estimate or 1.0)
 
     def check_progress(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.

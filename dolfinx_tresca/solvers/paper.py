@@ -190,7 +190,7 @@ def largest_eigenvalue(problem: DualProblem) -> float:
     for _ in range(20):
         product = problem.compliance.apply(x)
         store.add(x, product)
-        before, value = value, store.largest_ritz_value
+        before, value = value, store.largest_eigenvalue_estimate
         if value <= 1.02 * before:
             break
         x = np.asarray(product / norm(problem, product))

@@ -142,7 +142,7 @@ class BlockBFGSModel:
         self._unit = float(np.sqrt(square / total)) if total > 0.0 else 1.0
 
     @property
-    def size(self) -> Array:
+    def model_diagonal(self) -> Array:
         """diag(M), (size,)."""
         return np.asarray(self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1))
 
@@ -338,9 +338,9 @@ class ProductStore:
         self.W, self.Y, self.errors = self.W[:, kept], self.Y[:, kept], self.errors[kept]
 
     @property
-    def largest_ritz_value(self) -> float:
-        """A lower bound of A's largest eigenvalue; 0 if nothing is known. Collective."""
-        of_near_field = 0.0 if self.near is None else self.near.largest_ritz_value
+    def largest_eigenvalue_estimate(self) -> float:
+        """An estimate from below, a Ritz value; 0 if nothing is known. Collective."""
+        of_near_field = 0.0 if self.near is None else self.near.largest_eigenvalue_estimate
         if len(self) == 0:
             return of_near_field
         # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
@@ -390,7 +390,7 @@ class WholeModel:
 
     Attributes:
         diagonal: (size,) diag(A).
-        size: (size,) diag(A), too: diag(M) without the small shift.
+        model_diagonal: (size,) diag(A), too: diag(M) without the small shift.
         unit: mean of diag(A) over all ranks.
     """
 
@@ -409,11 +409,11 @@ class WholeModel:
         calls `solve` for systems with a sparse matrix that is not symmetric.
         """
         self._reductions, self._solve = reductions, solve
-        size, n = rows.shape
-        self._mine, self._count = slice(begin, begin + size), int(n)
+        own, n = rows.shape
+        self._mine, self._count = slice(begin, begin + own), int(n)
         self.diagonal: Array = rows[:, self._mine].diagonal()
-        self.size = self.diagonal
-        self.unit = float(reductions.inner(self.diagonal, np.ones(size))) / max(n, 1)
+        self.model_diagonal = self.diagonal
+        self.unit = float(reductions.inner(self.diagonal, np.ones(own))) / max(n, 1)
         self._matrix = reductions.stacked(rows) if issparse(rows) else self._gathered(rows)
         shift = diags_array(self._gathered(SHIFT * local_compliance), format="csr")
         self._shifted = self._matrix + shift
@@ -443,8 +443,8 @@ class WholeModel:
         return np.asarray(self._shifted[self._mine] @ self._gathered(x))
 
     @cached_property
-    def largest_ritz_value(self) -> float:
-        """The largest eigenvalue of A. Collective at the first access."""
+    def largest_eigenvalue_estimate(self) -> float:
+        """The largest eigenvalue of A, to 0.1 %. Collective at the first access."""
         matrix = self._matrix
         if matrix.shape[0] <= 2:
             return float(np.linalg.eigvalsh(dense(matrix))[-1])

@@ -100,19 +100,19 @@ class SemismoothNewton:
     def __init__(self, problem: DualProblem, model: Model) -> None:
         """Prepare steps."""
         self.problem, self.model = problem, model
-        self.size = problem.admissible.mean_over_discs(model.size)
-        self.rho = np.asarray(RHO_DIAGONAL / self.size)
-        ones, G = np.ones_like(self.size), problem.constraints.columns
-        sums = [float(problem.inner(ones, values)) for values in (self.size, ones)]
+        self.mean_diagonal = problem.admissible.mean_over_discs(model.model_diagonal)
+        self.rho = np.asarray(RHO_DIAGONAL / self.mean_diagonal)
+        ones, G = np.ones_like(self.mean_diagonal), problem.constraints.columns
+        sums = [float(problem.inner(ones, values)) for values in (self.mean_diagonal, ones)]
         self.softness = PROXIMAL * sums[1] / sums[0] if sums[0] > 0.0 else 0.0
-        compliance = problem.inner(G * G, 1.0 / self.size)
+        compliance = problem.inner(G * G, 1.0 / self.mean_diagonal)
         self.compliance = np.where(compliance > 0.0, compliance, 1.0)
         self.load = self.energy(self.rho * problem.b, problem.constraints.values)
         self.rounding = ROUNDING * self.load
 
     def energy(self, change: Array, unbalanced: Array) -> float:
         """Return the residual of all equations, from those of multipliers and of constraints."""
-        square = float(self.problem.inner(change, self.size * change))
+        square = float(self.problem.inner(change, self.mean_diagonal * change))
         return float(np.sqrt(square + unbalanced @ (unbalanced / self.compliance)))
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:

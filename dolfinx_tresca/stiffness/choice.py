@@ -54,12 +54,12 @@ class SolverRequest:
         vars(self).update(expected_solves=checked_integer("expected_solves", self.expected_solves))
 
     def choose(
-        self, size: float, dim: int, comm: Any, *, saddle: bool = False
+        self, unknowns: float, dim: int, comm: Any, *, saddle: bool = False
     ) -> tuple[ChosenMethod, str]:
         """Return the name of the solver for K, and the reason for the choice. Not collective.
 
-        The size is the number of unknowns of a body, averaged over the unknowns instead of over the
-        bodies, so that large bodies decide; `saddle` tells that K belongs to a mixed space.
+        The `unknowns` are those of a body, averaged over the unknowns instead of over the bodies,
+        so that large bodies decide; `saddle` tells that K belongs to a mixed space.
         """
         if self.method == "multigrid" and saddle:
             raise InputError(
@@ -70,10 +70,10 @@ class SolverRequest:
             return self.method, "requested"
         # each further solve adds a half, until factors would take too much memory
         limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (self.expected_solves + 1), 5.0))
-        chosen: ChosenMethod = "cholesky" if saddle or size <= limit else "multigrid"
+        chosen: ChosenMethod = "cholesky" if saddle or unknowns <= limit else "multigrid"
         reason = (
-            f"since {size:,.0f} unknowns of a body {'<=' if size <= limit else '>'} {limit:,} "
-            f"(limit for {self.expected_solves} solve(s) in {dim}D)"
+            f"since {unknowns:,.0f} unknowns of a body {'<=' if unknowns <= limit else '>'} "
+            f"{limit:,} (limit for {self.expected_solves} solve(s) in {dim}D)"
         )
         if saddle:
             reason = "since multigrid needs a positive definite K"

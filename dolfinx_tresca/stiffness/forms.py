@@ -226,11 +226,7 @@ class Component:
 
 
 def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
-    """Return a copy of the user's matrix on V, with the type of DOLFINx's matrices. Collective.
-
-    Raises:
-        InputError: the matrix was destroyed, has another size than V, or is not assembled.
-    """
+    """Return a copy of the user's matrix on V, with the type of DOLFINx's matrices. Collective."""
     if not K.handle:
         raise InputError("the matrix a was destroyed: keep it as long as the problem assembles K.")
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs

@@ -85,16 +85,19 @@ class BodyFrames:
         label = label_bodies(V)
         prescribed = system.prescribed_displacements.reshape(owned, dim)
         whole = prescribed.all(axis=1)
-        alone = np.zeros((count, 3), dtype=np.int64)  # nodes with a prescribed single component
-        np.add.at(alone[:, :dim], label[:owned], prescribed & ~whole[:, None])
+        # for each body and axis, the nodes that keep the body from turning about other axes: those
+        # with a single prescribed component, and those of surfaces with small sliding
+        guided = np.zeros((count, 3), dtype=np.int64)
+        np.add.at(guided[:, :dim], label[:owned], prescribed & ~whole[:, None])
         for pair in pairs:
             if pair.sliding != "finite" and not isinstance(pair.friction, Bonded):
                 sides = [pair.secondary, *([] if pair.obstacle else [pair.primary])]
                 facets = np.concatenate([pair.facet_tags.find(side) for side in sides])
-                alone[label[fem.locate_dofs_topological(V, dim - 1, facets)]] = 1
-        alone[:] = reduce_array(system.comm, alone)
-        axis = np.where((alone > 0) & (alone.sum(axis=1) == alone.max(axis=1))[:, None], 1.0, 0.0)
-        has_frame = (np.count_nonzero(alone, axis=1) <= dim - 2) & ~_resisted(system, bodies)
+                guided[label[fem.locate_dofs_topological(V, dim - 1, facets)]] = 1
+        guided[:] = reduce_array(system.comm, guided)
+        has_single_axis = guided.sum(axis=1) == guided.max(axis=1)
+        axis = np.where((guided > 0) & has_single_axis[:, None], 1.0, 0.0)
+        has_frame = (np.count_nonzero(guided, axis=1) <= dim - 2) & ~_resisted(system, bodies)
         if dim == 2:
             axis[:] = [0.0, 0.0, 1.0]
         if not has_frame.any():
@@ -156,26 +159,26 @@ class BodyFrames:
         # along the axis so large a moment that the axis stays
         along = self.axis[:, :, None] * self.axis[:, None, :]
         across = np.eye(3) - along
-        sizes = np.linalg.norm(moments, axis=(1, 2), keepdims=True)
-        left, _, right = np.linalg.svd(across @ moments @ across + sizes * along)
+        norms = np.linalg.norm(moments, axis=(1, 2), keepdims=True)
+        left, _, right = np.linalg.svd(across @ moments @ across + norms * along)
         left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
         rotation = left @ right
         turned = np.abs(rotation - np.eye(3)).max(axis=(1, 2)) > ROUNDING
         rotation[~(turned & self.has_frame)] = np.eye(3)
-        size = np.abs(self._points).max(initial=0.0) + np.abs(translation).max(initial=0.0)
-        size = float(reduce_array(self.V.mesh.comm, size, MPI.MAX))
-        translation[np.abs(translation).max(axis=1) <= ROUNDING * size] = 0.0
-        moved = translation.any() or (rotation != np.eye(3)).any()
-        return replace(self, translation=translation, rotation=rotation) if moved else None
+        extent = np.abs(self._points).max(initial=0.0) + np.abs(translation).max(initial=0.0)
+        extent = float(reduce_array(self.V.mesh.comm, extent, MPI.MAX))
+        translation[np.abs(translation).max(axis=1) <= ROUNDING * extent] = 0.0
+        moves = translation.any() or (rotation != np.eye(3)).any()
+        return replace(self, translation=translation, rotation=rotation) if moves else None
 
     @cached_property
     def rigid(self) -> fem.Function:
         """The rigid motions u_R [length]. Not collective."""
         arm = self._points - self.centre[self.label]
-        moved = np.einsum("nij,nj->ni", (self.rotation - np.eye(3))[self.label], arm)
+        motion = np.einsum("nij,nj->ni", (self.rotation - np.eye(3))[self.label], arm)
+        motion += self.translation[self.label]
         result = fem.Function(self.V)
-        moved += self.translation[self.label]
-        result.x.array[:] = moved[:, : self.V.mesh.geometry.dim].ravel()
+        result.x.array[:] = motion[:, : self.V.mesh.geometry.dim].ravel()
         return result
 
     def into_space(self, v: Array) -> Array:
@@ -225,8 +228,8 @@ class BodyFrames:
         turn = frames[1].rotation @ frames[0].rotation.swapaxes(1, 2)
         turn = (Rotation.from_matrix(turn) ** fraction).as_matrix()
         arm = positions[1] - means[1][label]
-        moved = means[1] + fraction * (means[1] - means[0])
-        x = moved[label] + np.einsum("nij,nj->ni", turn[label], arm)
+        next_means = means[1] + fraction * (means[1] - means[0])
+        x = next_means[label] + np.einsum("nij,nj->ni", turn[label], arm)
         result, has_frame = after.copy(), self.has_frame[label]
         dim = self.V.mesh.geometry.dim
         result.x.array.reshape(-1, dim)[has_frame] = (x - self._points)[has_frame, :dim]

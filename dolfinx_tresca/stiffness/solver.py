@@ -88,9 +88,9 @@ class StiffnessSolver(PetscOwner):
         self._ksp.setOptionsPrefix(prefix)
         self._ksp.setOperators(K)
         options = PETSc.Options(prefix)
-        mine = {key: value for key, value in defaults.items() if not options.hasName(key)}
-        mine |= petsc_options
-        for key, value in mine.items():
+        applied = {key: value for key, value in defaults.items() if not options.hasName(key)}
+        applied |= petsc_options
+        for key, value in applied.items():
             options[key] = value
         try:
             with destroyed_on_error(self):
@@ -106,7 +106,7 @@ class StiffnessSolver(PetscOwner):
                 "the PETSc options, and whether memory suffices."
             ) from error
         finally:
-            for key in mine:
+            for key in applied:
                 del options[key]
 
     def check_ready(self) -> None:
@@ -222,15 +222,15 @@ class StiffnessSolver(PetscOwner):
 
     def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
         """Check, once, |f - K u| / (|K| |u| + |f|) of a solve without iteration. Collective."""
-        size = f.norm(PETSc.NormType.INFINITY)
-        if self._measured or not size > 0.0:
+        largest_force = f.norm(PETSc.NormType.INFINITY)
+        if self._measured or not largest_force > 0.0:
             return
         self._measured = True
         K, residual = self.matrix, self.matrix.createVecLeft()
         K.mult(u, residual)
         residual.axpy(-1.0, f)
-        terms = K.norm(PETSc.NormType.INFINITY) * u.norm(PETSc.NormType.INFINITY) + size
-        error = residual.norm(PETSc.NormType.INFINITY) / terms
+        terms = K.norm(PETSc.NormType.INFINITY) * u.norm(PETSc.NormType.INFINITY)
+        error = residual.norm(PETSc.NormType.INFINITY) / (terms + largest_force)
         if error > 1e-8:  # a factorisation leaves about 1e-16, whatever the condition of K
             raise StiffnessError(
                 f"{self}, without iteration, leaves {error:.1e} of K u as residual: that is no "
@@ -300,20 +300,20 @@ SPARE_WORKSPACE = 200
 
 
 def cholesky(
-    K: PETSc.Mat, petsc_options: Mapping[str, Any], prefix: str | None, constraints: int | None = 0
+    K: PETSc.Mat, options: Mapping[str, Any], prefix: str | None, negative_pivots: int | None = 0
 ) -> StiffnessSolver:
     """Return a solver with the factors of K, or of a saddle-point matrix. Collective.
 
     Args:
         K: the matrix, or (A, B'; B, -C).
-        petsc_options: PETSc options in addition to the defaults.
+        options: PETSc options in addition to the defaults.
         prefix: prefix of the user's options in PETSc's database; None: there is none.
-        constraints: number of unknowns other than displacements, and of negative pivots: then, by
-            Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C is zero, A on
+        negative_pivots: number of unknowns other than displacements. With as many negative pivots,
+            by Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C is zero, A on
             the vectors u with B u = 0. None: the number is not known; only a pivot that is zero is
             an error.
     """
-    options: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "ksp_type": "preonly",
         "pc_type": "cholesky",
         "pc_factor_mat_solver_type": "mumps",
@@ -326,18 +326,18 @@ def cholesky(
         "mat_mumps_icntl_7": 5,
         "mat_mumps_icntl_14": SPARE_WORKSPACE,
     }
-    if constraints == 0:  # no pivoting: K is positive definite, or the check below fails
-        options["mat_mumps_cntl_1"] = 0.0
+    if negative_pivots == 0:  # no pivoting: K is positive definite, or the check below fails
+        defaults["mat_mumps_cntl_1"] = 0.0
     else:  # L D L' with pivots of size 1 and 2, whose signs are counted
-        options["mat_mumps_icntl_13"] = 1  # no ScaLAPACK in the last front: it counts no signs
-        options["mat_mumps_icntl_24"] = 1  # detect zero pivots
-    solver = StiffnessSolver("cholesky", K, options, petsc_options, prefix)
+        defaults["mat_mumps_icntl_13"] = 1  # no ScaLAPACK in the last front: it counts no signs
+        defaults["mat_mumps_icntl_24"] = 1  # detect zero pivots
+    solver = StiffnessSolver("cholesky", K, defaults, options, prefix)
     with destroyed_on_error(solver):
-        _check_pivots(K, solver.preconditioner, constraints)
+        _check_pivots(K, solver.preconditioner, negative_pivots)
     return solver
 
 
-def _check_pivots(K: PETSc.Mat, pc: PETSc.PC, constraints: int | None) -> None:
+def _check_pivots(K: PETSc.Mat, pc: PETSc.PC, negative_pivots: int | None) -> None:
     """Check that K is positive definite, or has the signs of a saddle point; see `cholesky`."""
     if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
         return  # the user has chosen another solver
@@ -347,22 +347,22 @@ def _check_pivots(K: PETSc.Mat, pc: PETSc.PC, constraints: int | None) -> None:
             f"MUMPS could not factor K: INFOG(1) = {failure}, INFOG(2) = {reason} (-10: "
             "singular, -9 or -13: out of memory). For large models take stiffness='multigrid'."
         )
-    if constraints == 0 and negative > 0:
+    if negative_pivots == 0 and negative > 0:
         raise indefinite_error(f"{negative} of {K.getSize()[0]} pivots are negative")
-    if constraints != 0 and zero > 0:
+    if negative_pivots != 0 and zero > 0:
         raise StiffnessError(
             f"K is singular: {zero} of {K.getSize()[0]} pivots are zero. Nothing holds a body; "
             "or a pressure is not determined, since all of the boundary is clamped, or since "
             "spaces are no stable pair, such as degree 2 for u and degree 1 for p."
         )
-    if constraints and negative != constraints:
+    if negative_pivots and negative != negative_pivots:
         error = StiffnessError(
-            f"K has {negative} negative pivots, but {constraints} unknowns that are no "
+            f"K has {negative} negative pivots, but {negative_pivots} unknowns that are no "
             "displacements. Check the material data, and the signs of the form: a(u, v) + "
             "b(v, p) + b(u, q) - c(p, q), where c(p, p) >= 0 and a is positive definite."
         )
-        if negative > constraints:
-            error.evidence = f"{negative - constraints} pivots of displacements are negative"
+        if negative > negative_pivots:
+            error.evidence = f"{negative - negative_pivots} pivots of displacements are negative"
         raise error
 
 

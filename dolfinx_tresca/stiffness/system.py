@@ -20,7 +20,7 @@ from dolfinx import fem
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs, require_real_petsc
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
-from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_sizes
+from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs
 from dolfinx_tresca._base.petsc import PetscOwner, keep_inner_communicator
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.errors import InputError, StiffnessError, shown
@@ -210,17 +210,6 @@ class LinearSystem(PetscOwner):
         result.axpy(1.0, self.forces_of(u[self.prescribed]))
         return result
 
-    def residual_of(self, forces: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
-        """Return forces - K u at free degrees of freedom, and zero elsewhere. Collective.
-
-        u has the prescribed values, whose effect the forces do not contain. The caller owns the
-        vector.
-        """
-        result = self.product(u.array)
-        result.aypx(-1.0, forces)
-        result.array[self.prescribed] = 0.0
-        return result
-
     @property
     def outdated(self) -> bool:
         """Whether coefficients of the form have changed since K was assembled. Collective."""
@@ -246,8 +235,8 @@ class LinearSystem(PetscOwner):
         return np.asarray(owned_values(self.component.extract(flags)).ravel() > 0.0)
 
     @property
-    def saddle_size(self) -> int:
-        """Number of free unknowns that are not displacements, on all ranks. Collective."""
+    def negative_pivots(self) -> int:
+        """Number of free unknowns of all ranks that are no displacements: see `cholesky`."""
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
@@ -310,7 +299,7 @@ class LinearSystem(PetscOwner):
         before, response = fem.Function(self.space), fem.Function(self.space)
         before.x.array[slice(None) if self.component is None else self.component.dofs] = u.x.array
         change = self.prescribed_values() - before.x.array[: len(self.prescribed)][self.prescribed]
-        changed, largest = largest_sizes(self.comm, change, u.x.array)
+        changed, largest = largest_abs(self.comm, change, u.x.array)
         if changed > ROUNDING * largest:
             forces = self.forces_of(change)
             forces.array = np.where(self.prescribed, 0.0, -forces.array)
