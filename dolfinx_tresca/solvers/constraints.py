@@ -197,7 +197,7 @@ def balance(
     constraints: EqualityConstraints,
     feasible_set: FeasibleSet,
     start: Array | None = None,
-    softness: csr_array | None = None,
+    softness_factor: float | None = None,
     reserve: float = 0.0,
 ) -> Balance:
     """Search for multipliers in Lambda that satisfy equations: they balance the loads. Collective.
@@ -217,16 +217,19 @@ def balance(
         constraints: the equations.
         feasible_set: Lambda.
         start: (size,) y; the multipliers P(y + G z) are the nearest ones to y; None: zero.
-        softness: (k, k) C; None: the projector onto the range of `constraints.softness`. All soft
-            equations are then equally soft, and the result does not depend on their softness.
+        softness_factor: C is the softness S times this number, without the negative eigenvalues
+            that S has if loads turn with a body; None: C is the projector onto the positive
+            eigenvectors of S. All soft equations are then equally soft, and the result does not
+            depend on their softness.
         reserve: relative increase of e; a positive value asks for a margin.
     """
     G, inner = constraints.columns, constraints.reductions.sparse_inner
     target = (1.0 + reserve) * constraints.values
     term_sums = np.maximum(constraints.term_sums, np.abs(constraints.values))
     depth = 0.5 * LARGEST_REACTION**2 * float(term_sums @ term_sums) if start is None else np.inf
-    vectors = constraints.soft_directions[1]
-    C: csr_array = vectors @ vectors.T if softness is None else softness
+    eigenvalues, vectors = constraints.soft_directions
+    weights = np.ones_like(eigenvalues) if softness_factor is None else softness_factor * eigenvalues
+    C: csr_array = vectors @ diags_array(weights) @ vectors.T
     y = np.zeros(G.shape[0]) if start is None else start
     agreed = constraints.reductions.from_first_rank
     scale = 1.0 / np.sqrt((inner(G, G) + C).diagonal())

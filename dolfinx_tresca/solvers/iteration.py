@@ -302,8 +302,9 @@ class ModelNewton:
         is_at_rest = self.residual.zero_is_solution and norm(self.problem, iterate.x) == 0.0
         if len(constraints) == 0 or is_at_rest:
             return None
-        x, r, softness = iterate.x, iterate.r, 1.0 / rho * constraints.softness
-        shift = balance(constraints, self.problem.section_at(x, r), x - rho * r, softness).shift
+        x, r = iterate.x, iterate.r
+        section = self.problem.section_at(x, r)
+        shift = balance(constraints, section, x - rho * r, softness_factor=1.0 / rho).shift
         iterate.c = np.asarray(shift / rho)
         target = self.target()
         iterate.c = target.c
