@@ -29,11 +29,10 @@ from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function; and the latter for the quadratic part of w on F. Their proof is in
-#: docs/theory/guaranteed.md, and tests/guaranteed/test_constants.py computes them.
+#: nearest linear function. Their proof is in docs/theory/guaranteed.md, and
+#: tests/guaranteed/test_constants.py computes them.
 POINCARE = {2: 0.540, 3: 0.768}
 TRACE = {2: 1.522, 3: 4.473}
-QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 
 
 @cache
@@ -89,13 +88,10 @@ def opposite(d: int) -> Indices:
 
 def rigid_motions(arms: Array) -> Array:
     """Return translations and rotations (..., r, k, d) at the ends of arms (..., k, d)."""
-    d = arms.shape[-1]
-    turns = list(combinations(range(d), 2))
-    result = np.zeros((*arms.shape[:-2], d + len(turns), *arms.shape[-2:]))
-    result[..., range(d), :, range(d)] = 1.0
-    for row, (i, j) in enumerate(turns, d):
-        result[..., row, :, i], result[..., row, :, j] = -arms[..., j], arms[..., i]
-    return result
+    axes = np.eye(arms.shape[-1])
+    shifts = [np.zeros_like(arms) + axis for axis in axes]
+    turns = [arms @ (np.outer(x, y) - np.outer(y, x)) for x, y in combinations(axes, 2)]
+    return np.stack(shifts + turns, axis=-3)
 
 
 class Simplices:

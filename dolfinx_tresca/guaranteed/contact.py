@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from typing import Any
-
 import numpy as np
 from scipy.sparse import kron
 
@@ -17,11 +14,11 @@ from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import MeshCells, bernstein, mean_products, pair_means
-from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
+from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
-from dolfinx_tresca.scene.pair import ContactPair, SideName
+from dolfinx_tresca.scene.pair import SideName
 
 #: Difference of unit normals, and of entries of the primary side's means from 1, that count as
 #: rounding.
@@ -70,7 +67,11 @@ class ContactSurface:
         )
         alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
         alike &= bool((rows.operators.semi_axes == 1.0).all() and np.isfinite(bounds).all())
-        every = _with_all_nodes(V, pair)
+        # as if nothing were prescribed: all nodes have jumps and distances. Displaced surfaces are
+        # paired without the warnings that the log has already
+        nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
+        undeformed = Undeformed.from_mesh(V, nothing, PairGroup.from_pairs([pair]))
+        (every,) = pair_displaced_surfaces(V, undeformed, np.zeros(prescribed.shape))
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
         nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()
         cells.require(alike and (rigid or nodewise), needed)
@@ -221,18 +222,3 @@ class ContactSurface:
         needed = f"prescribed displacements that do not penetrate, unlike those of {self._pair}"
         self._cells.require(deepest <= PENETRATION * size, needed)
         return np.stack([complementarity, lack], axis=1)
-
-
-def _with_all_nodes(V: Any, pair: ContactPair) -> PairOperators:
-    """Pair surfaces as if nothing were prescribed: all nodes have jumps and distances. Collective.
-
-    The log has the pairing of the problem already.
-    """
-    logger = logging.getLogger("dolfinx_tresca")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
-        return pair_surfaces(V, nothing, pair)
-    finally:
-        logger.setLevel(level)
