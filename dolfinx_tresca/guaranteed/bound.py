@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.functions import assembled, owned_values, zero_like
+from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_sizes, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -72,10 +72,8 @@ class GuaranteedError:
     lift: float
 
     def __repr__(self) -> str:
-        return (
-            f"<GuaranteedError: at most {self.error:.3e}, {self.relative_error:.1%} of the "
-            "displacement's energy norm>"
-        )
+        share = f"{self.relative_error:.1%} of the displacement's energy norm"
+        return f"<GuaranteedError: at most {self.error:.3e}, {share}>"
 
 
 class Candidate(NamedTuple):
@@ -109,24 +107,22 @@ class Bodies:
             "Dirichlet conditions that hold each body; here contact alone holds a body against "
             "some motion",
         )
-        self.stiffness, inverse, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
+        (a, L), maps = linear.ufl_forms, linear.entity_maps
+        self.stiffness, inverse, least = elasticity(a, cells, maps)
         self.energies = StressEnergies(cells, inverse)
-        self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
-        inside = cells.sides[cells.facets, 0] == 2.0
-        held = self.prescribed[cells.facet_nodes].all(axis=(2, 3)) & ~inside
-        self.unknown = held | inside
+        prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
+        held = prescribed[cells.facet_nodes].all(axis=(2, 3))
+        self.unknown = held | (cells.sides[cells.facets, 0] == 2.0)  # or inside
         self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
         self.factors = cells.load_factors() / np.sqrt(least)[:, None]
         self.factors[:, 1:] *= ~held.all(axis=2)  # facets that are held take any load
-        form, maps = linear.ufl_forms[1], linear.entity_maps
-        self.load, self.oscillation = loads(form, cells, self.factors, maps)
+        self.load, self.oscillation = loads(L, cells, self.factors, maps)
 
     def loading_of(self, w: fem.Function) -> Array:
         """Return the loading of the stress of a displacement."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
-        coefficients = 2.0 * bernstein(w.x.array.reshape(-1, d)[cells.nodes])
-        slopes = np.swapaxes(cells.gradients, 1, 2) @ coefficients.reshape(n, corners, corners * d)
-        slopes = np.swapaxes(slopes.reshape(n, d, corners, d), 1, 2)
+        coefficients = bernstein(w.x.array.reshape(-1, d)[cells.nodes])
+        slopes = 2.0 * np.einsum("nkja,njb->nkab", coefficients, cells.gradients)  # at vertices
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
         return cells.loading_of(stresses.reshape(slopes.shape))
 
@@ -134,8 +130,9 @@ class Bodies:
         """Return the displacement that forces alone cause, with one solve with K. Collective."""
         result, free = zero_like(forces, "response"), forces.copy()
         owned_values(free)[self.linear.prescribed.reshape(-1, self.cells.d)] = 0.0
-        vectors = free.x.petsc_vec, result.x.petsc_vec
-        dual.compliance.solver.improve(*vectors, rtol=rtol, accuracy=0.0)
+        dual.compliance.solver.improve(
+            free.x.petsc_vec, result.x.petsc_vec, rtol=rtol, accuracy=0.0
+        )
         result.x.scatter_forward()
         return result
 
@@ -150,10 +147,8 @@ class Bodies:
         at_solution = dual.section_at(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
-        surfaces = [
-            ContactSurface(cells, dual, number, multipliers, bounds, self.prescribed)
-            for number in range(len(dual.jump.pairs))
-        ]
+        numbers = range(len(dual.jump.pairs))
+        surfaces = [ContactSurface(cells, dual, k, multipliers, bounds) for k in numbers]
         v = u.copy()
         for surface in surfaces:
             surface.lift(v)
@@ -228,11 +223,8 @@ class Bodies:
         norm = dual.norm_of(u)
         relative_error = error / norm if norm > 0.0 else float("inf")
         constants = fem.functionspace(self.V.mesh, ("DG", 0))
-        cell_errors = fem.Function(constants, name="guaranteed_cell_errors")
-        lack = np.maximum(defects.sum(axis=1), 0.0)
-        dofs = constants.dofmap.list[: len(lack), 0]
-        cell_errors.x.array[dofs] = np.sqrt(2.0 * (offset + 0.25 * eta + lack))
-        cell_errors.x.scatter_forward()
+        of_cells = np.sqrt(2.0 * (offset + 0.25 * eta + np.abs(defects.sum(axis=1))))
+        cell_errors = with_owned_values(constants, of_cells, "guaranteed_cell_errors")
         contact = float(complementarity), float(friction), lift
         return GuaranteedError(error, relative_error, cell_errors, stress, oscillation, *contact)
 

@@ -93,7 +93,7 @@ def loads(
     )
     constants = fem.functionspace(mesh, ("DG", 0))
     test, weight = map(ufl.TestFunction, (cells.quadratics, constants))
-    projection, cell_dofs = fem.Function(cells.quadratics), constants.dofmap.list[:n, 0]
+    projection = fem.Function(cells.quadratics)
     # a form integrates over all facets of a cell. For the integral over one facet of each cell,
     # `normal` is the normal of this facet, and the integrand is zero where normals differ
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
@@ -114,15 +114,14 @@ def loads(
             for values in (ufl.inner(load, test), ufl.inner(difference, difference) * weight)
         )
         for number in numbers:
-            vertices = np.flatnonzero(np.arange(corners) != number - 1)
-            hats = lagrange(corners)[0][:, vertices]  # at the nodes of quadratic functions
-            normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
+            # at the nodes of quadratic functions, of the vertices of the cell or the facet
+            hats = lagrange(corners)[0][:, np.arange(corners) != number - 1]
+            normal.x.array.reshape(-1, d)[:n] = cells.normals[:, number - 1]
             work = hats.T @ fem.assemble_vector(moments).array.reshape(-1, d)[cells.dofs]
             work /= sizes[:, number, None, None]
-            values = np.linalg.inv(mean_products(len(vertices), 2)) @ work
+            values = np.linalg.inv(mean_products(hats.shape[1], 2)) @ work
             projection.x.array.reshape(-1, d)[cells.dofs] = hats @ values
             given = loading[:, number - 1, :d] if number else loading[:, :, d]
             given += values  # a view of the loading
-            distances = np.sqrt(fem.assemble_vector(squares).array[cell_dofs])
-            oscillation += factors[:, number] * distances
+            oscillation += factors[:, number] * np.sqrt(fem.assemble_vector(squares).array[:n])
     return loading, oscillation
