@@ -50,8 +50,8 @@ class GuaranteedError:
         error: bound of |u - u*| [energy^(1/2)].
         relative_error: `error` divided by |u|.
         cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
-            root of the sum of their squares is at most some percent larger than `error` if `lift`
-            is small.
+            root of the sum of their squares is at least `error`, and at most some percent larger
+            if `lift` is small.
         stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
             displacement [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
@@ -104,8 +104,7 @@ class Bodies:
         )
         cells.require(
             dual.equilibrium is None,
-            "Dirichlet conditions that hold each body; here contact alone holds a body against "
-            "some motion",
+            "Dirichlet conditions that hold bodies; here contact alone holds one against a motion",
         )
         (a, L), maps = linear.ufl_forms, linear.entity_maps
         self.stiffness, inverse, least = elasticity(a, cells, maps)
@@ -121,10 +120,10 @@ class Bodies:
     def loading_of(self, w: fem.Function) -> Array:
         """Return the loading of the stress of a displacement."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
-        coefficients = bernstein(w.x.array.reshape(-1, d)[cells.nodes])
-        slopes = 2.0 * np.einsum("nkja,njb->nkab", coefficients, cells.gradients)  # at vertices
+        coefficients = 2.0 * np.swapaxes(bernstein(w.x.array.reshape(-1, d)[cells.nodes]), 2, 3)
+        slopes = coefficients.reshape(n, corners * d, corners) @ cells.gradients
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
-        return cells.loading_of(stresses.reshape(slopes.shape))
+        return cells.loading_of(stresses.reshape(n, corners, d, d))
 
     def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:
         """Return the displacement that forces alone cause, with one solve with K. Collective."""
@@ -163,13 +162,13 @@ class Bodies:
         loading = self.stars.equilibrated(given, discrete)
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), cells.resultants(loading))
-        # bodies may be free of the forces that `given` balances, but not of those of u
-        forces = map(cells.resultants, (discrete, of_u))
-        lack, *sizes = largest_sizes(self.comm, lacking, *forces)
-        if not lack <= IMBALANCE * max(sizes):  # NaN fails, too
+        # a stress that balances L alone may be free of forces, but not that of u
+        forces = cells.areas[:, :, None, None] * np.maximum(np.abs(loading), np.abs(of_u))[:, :, :d]
+        lack, size = largest_sizes(self.comm, lacking, forces)
+        if not lack <= IMBALANCE * size:  # NaN fails, too
             raise ContactError(
                 f"the displacement is not in equilibrium: on a cell, forces of {lack:.1e} are "
-                f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "
+                f"missing, where forces on facets are up to {size:.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
         return Candidate(loading, v, surfaces)

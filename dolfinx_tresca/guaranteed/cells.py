@@ -151,9 +151,8 @@ class Simplices:
         """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
         products = np.einsum("nkab,njb->njka", stress, self.normals)
         tractions = products[:, np.arange(self.d + 1)[:, None], opposite(self.d)]
-        load = np.einsum("nkka,nk->na", products, 1.0 / self.heights)[:, None, None]
-        load = np.broadcast_to(load, (*self.heights.shape, 1, self.d))
-        return np.concatenate([tractions, load], axis=2)
+        load = -np.einsum("nkab,nkb->na", stress, self.gradients)[:, None, None]
+        return np.concatenate([tractions, np.repeat(load, self.d + 1, axis=1)], axis=2)
 
 
 def _regular_frame(d: int) -> Array:
@@ -248,6 +247,7 @@ class MeshCells(Simplices):
 
     Attributes:
         V: the space of the displacement.
+        order: (n, d + 1) the local numbers of the vertices in DOLFINx.
         quadratics: the space of vectors that are quadratic in cells.
         dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.
         vertices: (n, d + 1) global numbers of the vertices.
@@ -277,7 +277,8 @@ class MeshCells(Simplices):
         numbers = topology.index_map(0).local_to_global(local.ravel()).reshape(local.shape)
         cell, order = np.arange(count)[:, None], np.argsort(numbers, axis=1)
         super().__init__(mesh.geometry.x[geometry_dofmap(mesh)[cell, order], :d])
-        self.V, self.vertices, self.facets = V, numbers[cell, order], facets[cell, order]
+        self.V, self.order = V, order
+        self.vertices, self.facets = numbers[cell, order], facets[cell, order]
         between = np.diag(np.arange(d + 1))
         for edge, (i, j) in enumerate(basix.topology(mesh.basix_cell())[1], d + 1):
             between[i, j] = between[j, i] = edge

@@ -55,10 +55,9 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
     rounding = STIFFNESS_ROUNDING * np.trace(moduli, axis1=1, axis2=2) / cells.heights.min(axis=1)
     least = np.linalg.eigvalsh(moduli)[:, 0]
-    is_constant = {integral.integral_type() for integral in a.integrals()} == {"cell"}
-    is_constant &= bool((difference <= rounding).all())
+    kinds = {integral.integral_type() for integral in a.integrals()}
     cells.require(
-        is_constant and (least > 0.0).all(),
+        kinds == {"cell"} and (difference <= rounding).all() and (least > 0.0).all(),
         "a form a of integrals over cells, of the strain alone, with positive moduli that are "
         'constant in each cell: interpolate them into a space ("DG", 0). This form has moduli that '
         "vary in cells, or integrals over facets, or depends on the displacement itself, as "
@@ -91,9 +90,10 @@ def loads(
         f"has integrals of the kinds {sorted(kinds)}, or depends on the gradient of the "
         "displacement, as an initial stress does",
     )
-    constants = fem.functionspace(mesh, ("DG", 0))
-    test, weight = map(ufl.TestFunction, (cells.quadratics, constants))
-    projection = fem.Function(cells.quadratics)
+    linears = fem.functionspace(mesh, ("DG", 1, (d,)))
+    test, weight = map(ufl.TestFunction, (linears, fem.functionspace(mesh, ("DG", 0))))
+    projection = fem.Function(linears)
+    dofs = linears.dofmap.list[np.arange(n)[:, None], cells.order]
     # a form integrates over all facets of a cell. For the integral over one facet of each cell,
     # `normal` is the normal of this facet, and the integrand is zero where normals differ
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
@@ -114,13 +114,12 @@ def loads(
             for values in (ufl.inner(load, test), ufl.inner(difference, difference) * weight)
         )
         for number in numbers:
-            # at the nodes of quadratic functions, of the vertices of the cell or the facet
-            hats = lagrange(corners)[0][:, np.arange(corners) != number - 1]
+            dof = dofs[:, np.arange(corners) != number - 1]
             normal.x.array.reshape(-1, d)[:n] = cells.normals[:, number - 1]
-            work = hats.T @ fem.assemble_vector(moments).array.reshape(-1, d)[cells.dofs]
+            work = fem.assemble_vector(moments).array.reshape(-1, d)[dof]
             work /= sizes[:, number, None, None]
-            values = np.linalg.inv(mean_products(hats.shape[1], 2)) @ work
-            projection.x.array.reshape(-1, d)[cells.dofs] = hats @ values
+            values = np.linalg.inv(mean_products(dof.shape[1], 2)) @ work
+            projection.x.array.reshape(-1, d)[dof] = values
             given = loading[:, number - 1, :d] if number else loading[:, :, d]
             given += values  # a view of the loading
             oscillation += factors[:, number] * np.sqrt(fem.assemble_vector(squares).array[:n])
