@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca._base.functions import assembled, owned_values, zero_like
+from dolfinx_tresca._base.functions import assembled, owned_values, with_owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_abs, reduce_array, summed_at_nodes
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.errors import ContactError, InputError, shown
@@ -50,8 +50,8 @@ class GuaranteedError:
         error: bound of |u - u*| [energy^(1/2)].
         relative_error: `error` divided by |u|.
         cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
-            root of the sum of their squares is at most some percent larger than `error` if `lift`
-            is small.
+            root of the sum of their squares is at least `error`, and at most some percent larger
+            if `lift` is small.
         stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
             displacement [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
@@ -72,27 +72,23 @@ class GuaranteedError:
     lift: float
 
     def __repr__(self) -> str:
-        return (
-            f"<GuaranteedError: at most {self.error:.3e}, {self.relative_error:.1%} of the "
-            "displacement's energy norm>"
-        )
+        share = f"{self.relative_error:.1%} of the displacement's energy norm"
+        return f"<GuaranteedError: at most {self.error:.3e}, {share}>"
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """Tractions, a stress and a displacement that bound the exact solution of a load.
+class Candidate(NamedTuple):
+    """A stress and a displacement that bound the exact solution of a load.
 
     Attributes:
-        surfaces: the contact surfaces, with admissible tractions.
+        loading: (n, d + 1, d + 1, d) loading that balances the load, and has the tractions of the
+            surfaces.
         v: a displacement that does not penetrate.
-        loading: (n, d + 1, d + 1, d) loading that balances the load, and has these tractions.
-        oscillation: (n,) bounds of the work of the load that `loading` does not balance.
+        surfaces: the contact surfaces, with admissible tractions.
     """
 
-    surfaces: list[ContactSurface]
-    v: fem.Function
     loading: Array
-    oscillation: Array
+    v: fem.Function
+    surfaces: list[ContactSurface]
 
 
 class Bodies:
@@ -108,53 +104,50 @@ class Bodies:
         )
         cells.require(
             dual.equilibrium is None,
-            "Dirichlet conditions that hold each body; here contact alone holds a body against "
-            "some motion",
+            "Dirichlet conditions that hold bodies; here contact alone holds one against a motion",
         )
-        self.stiffness, inverse, least = elasticity(linear.ufl_forms[0], cells, linear.entity_maps)
+        (a, L), maps = linear.ufl_forms, linear.entity_maps
+        self.stiffness, inverse, least = elasticity(a, cells, maps)
         self.energies = StressEnergies(cells, inverse)
-        self.prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
-        inside = cells.sides[cells.facets, 0] == 2.0
-        held = self.prescribed[cells.facet_nodes].all(axis=(2, 3)) & ~inside
-        self.unknown = held | inside
+        prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
+        held = prescribed[cells.facet_nodes].all(axis=(2, 3))
+        self.unknown = held | (cells.sides[cells.facets, 0] == 2.0)  # or inside
         self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
         self.factors = cells.load_factors() / np.sqrt(least)[:, None]
         self.factors[:, 1:] *= ~held.all(axis=2)  # facets that are held take any load
+        self.load, self.oscillation = loads(L, cells, self.factors, maps)
 
     def loading_of(self, w: fem.Function) -> Array:
         """Return the loading of the stress of a displacement."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
-        coefficients = 2.0 * bernstein(w.x.array.reshape(-1, d)[cells.nodes])
-        slopes = np.swapaxes(cells.gradients, 1, 2) @ coefficients.reshape(n, corners, corners * d)
-        slopes = np.swapaxes(slopes.reshape(n, d, corners, d), 1, 2)
+        coefficients = 2.0 * np.swapaxes(bernstein(w.x.array.reshape(-1, d)[cells.nodes]), 2, 3)
+        slopes = coefficients.reshape(n, corners * d, corners) @ cells.gradients
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
-        return cells.loading_of(stresses.reshape(slopes.shape))
+        return cells.loading_of(stresses.reshape(n, corners, d, d))
 
     def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:
         """Return the displacement that forces alone cause, with one solve with K. Collective."""
         result, free = zero_like(forces, "response"), forces.copy()
         owned_values(free)[self.linear.prescribed.reshape(-1, self.cells.d)] = 0.0
-        vectors = free.x.petsc_vec, result.x.petsc_vec
-        dual.compliance.solver.improve(*vectors, rtol=rtol, accuracy=0.0)
+        dual.compliance.solver.improve(
+            free.x.petsc_vec, result.x.petsc_vec, rtol=rtol, accuracy=0.0
+        )
         result.x.scatter_forward()
         return result
 
     def candidate(
-        self, dual: DualProgram, multipliers: Array, u: fem.Function, L: ufl.Form | None
+        self, dual: DualProgram, multipliers: Array, u: fem.Function, load: Array
     ) -> Candidate:
-        """Return the candidate of the load L; this takes one solve with K. Collective.
+        """Return the candidate of a load; this takes one solve with K. Collective.
 
         The multipliers (size,) are of the dual problem that was solved, for this or another load.
         """
-        cells, d = self.cells, self.cells.d
-        given, oscillation = loads(L, cells, self.factors, self.linear.entity_maps)
+        cells, d, given = self.cells, self.cells.d, load.copy()
         at_solution = dual.section_at(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
-        surfaces = [
-            ContactSurface(cells, dual, number, multipliers, bounds, self.prescribed)
-            for number in range(len(dual.jump.pairs))
-        ]
+        numbers = range(len(dual.jump.pairs))
+        surfaces = [ContactSurface(cells, dual, k, multipliers, bounds) for k in numbers]
         v = u.copy()
         for surface in surfaces:
             surface.lift(v)
@@ -169,16 +162,16 @@ class Bodies:
         loading = self.stars.equilibrated(given, discrete)
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), cells.resultants(loading))
-        # bodies may be free of the forces that `given` balances, but not of those of u
-        forces = map(cells.resultants, (discrete, of_u))
-        lack, *sizes = largest_abs(self.comm, lacking, *forces)
-        if not lack <= IMBALANCE * max(sizes):  # NaN fails, too
+        # a stress that balances L alone may be free of forces, but not that of u
+        forces = cells.areas[:, :, None, None] * np.maximum(np.abs(loading), np.abs(of_u))[:, :, :d]
+        lack, size = largest_abs(self.comm, lacking, forces)
+        if not lack <= IMBALANCE * size:  # NaN fails, too
             raise ContactError(
                 f"the displacement is not in equilibrium: on a cell, forces of {lack:.1e} are "
-                f"missing, where forces on cells are up to {max(sizes):.1e}. A displacement that "
+                f"missing, where forces on facets are up to {size:.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
-        return Candidate(surfaces, v, loading, oscillation)
+        return Candidate(loading, v, surfaces)
 
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
         """Return `ContactSurface.defects` (n, 2) [energy] over the facets of cells. Collective."""
@@ -213,32 +206,25 @@ class Bodies:
         self, dual: DualProgram, multipliers: Array, u: fem.Function, gain: float = GAIN
     ) -> GuaranteedError:
         """Return a bound of the error of a solution, with one solve with K. Collective."""
-        candidate = self.candidate(dual, multipliers, u, self.linear.ufl_forms[1])
-        of_u, of_v = self.loading_of(u), self.loading_of(candidate.v)
-        defects = self.defects(candidate.surfaces, candidate.v)
-        difference = candidate.loading - of_v
+        loading, v, surfaces = self.candidate(dual, multipliers, u, self.load)
+        of_u, of_v, defects = self.loading_of(u), self.loading_of(v), self.defects(surfaces, v)
+        difference = loading - of_v
         self.shorten(difference, gain)
-        # the mean of both stresses is the centre of a ball that contains the exact stress
-        stresses = difference, of_u - of_v, of_u - of_v - 0.5 * difference
-        square, moved, from_centre = map(self.energies.squared_norms, stresses)
-        by_cell = (np.sqrt(square) + candidate.oscillation) ** 2
-        terms = by_cell, square, candidate.oscillation**2, moved, from_centre, *defects.T
-        sums = reduce_array(self.comm, [term.sum() for term in terms])
-        *squares, complementarity, friction = map(float, sums)
-        eta, stress, oscillation, lift, offset = map(sqrt, squares)
-        defect = max(complementarity + friction, 0.0)  # of the conditions of contact
-        # the larger root e of e^2 = eta e + defect
-        error_of_v = 0.5 * eta + sqrt(0.25 * eta**2 + defect)
-        radius = sqrt(0.25 * stress**2 + defect + oscillation * error_of_v)
-        error, norm = min(error_of_v + lift, offset + radius), dual.norm_of(u)
+        stresses = difference, of_u - of_v - 0.5 * difference, of_u - of_v
+        square, from_mean, moved = map(self.energies.squared_norms, stresses)
+        eta = (np.sqrt(square) + self.oscillation) ** 2
+        # near the mean of both stresses is the centre of a ball that contains the exact stress
+        offset = (np.sqrt(from_mean) + 0.5 * self.oscillation) ** 2
+        terms = eta, offset, square, self.oscillation**2, moved, *defects.T
+        *squares, complementarity, friction = reduce_array(self.comm, [t.sum() for t in terms])
+        of_eta, of_offset, stress, oscillation, lift = map(sqrt, squares)
+        error = of_offset + sqrt(0.25 * of_eta**2 + max(complementarity + friction, 0.0))
+        norm = dual.norm_of(u)
         relative_error = error / norm if norm > 0.0 else float("inf")
         constants = fem.functionspace(self.V.mesh, ("DG", 0))
-        cell_errors = fem.Function(constants, name="guaranteed_cell_errors")
-        lack = np.maximum(defects.sum(axis=1), 0.0)
-        dofs = constants.dofmap.list[: len(lack), 0]
-        cell_errors.x.array[dofs] = np.sqrt(by_cell + 2.0 * lack + moved)
-        cell_errors.x.scatter_forward()
-        contact = complementarity, friction, lift
+        of_cells = np.sqrt(2.0 * (offset + 0.25 * eta + np.abs(defects.sum(axis=1))))
+        cell_errors = with_owned_values(constants, of_cells, "guaranteed_cell_errors")
+        contact = float(complementarity), float(friction), lift
         return GuaranteedError(error, relative_error, cell_errors, stress, oscillation, *contact)
 
 
@@ -269,7 +255,6 @@ class Functional:
     Attributes:
         form: the linear form: J, or a(w, v); `derivative` is its vector.
         w: the displacement that the form causes as a load, without contact; exact for a force.
-        is_force: whether the goal is a force, the work of tractions on w.
         constant: L(w) for a force, else zero.
     """
 
@@ -281,9 +266,9 @@ class Functional:
         )
         self._bodies, self._dual, linear = bodies, dual, bodies.linear
         test, trial = linear.ufl_forms[0].arguments()
-        self.is_force, self.constant = isinstance(goal, ContactForce | NormalForce), 0.0
+        is_force, self.constant = isinstance(goal, ContactForce | NormalForce), 0.0
         arguments = goal.arguments() if isinstance(goal, ufl.Form) else []
-        if self.is_force:
+        if is_force:
             pairs = dual.jump.by_pair
             pair = pairs[checked_goal(goal, len(pairs), bodies.cells.d).pair].operators
             self.w = fem.Function(bodies.V)
@@ -303,8 +288,12 @@ class Functional:
                 f"ufl.inner(direction, ufl.TestFunction(V)) * ds, found {shown(goal)}."
             )
         self.derivative = assembled(self.form, bodies.V, linear.entity_maps)
-        if not self.is_force:
+        if not is_force:
             self.w = bodies.response(dual, self.derivative, rtol=0.1)
+        # as a load a force is balanced by the stress of w
+        self._stress = bodies.loading_of(self.w) if is_force else 0.0
+        L = None if is_force else self.form
+        self.load, self._oscillation = loads(L, bodies.cells, bodies.factors, linear.entity_maps)
 
     def value(self, v: fem.Function) -> float:
         """Return the value for a displacement. Collective."""
@@ -315,30 +304,24 @@ class Functional:
     ) -> GuaranteedGoal:
         """Return an interval that contains the value in the exact solution. Collective.
 
-        For all t > 0, J(u*) - J(v) <= (|s - s(v)|^2 / 4 + G) / t with s of the load L + t J, and v
-        of L - t J. With a small t the errors count much, with a large one contact changes, and the
-        defects G are large.
+        For all t, t J(u*) - t J(v) <= |s - s(v)|^2 / 4 + G with s of the load L + t J, and v of
+        L - t J: an upper limit if t > 0, else a lower one. With a small t the errors count much,
+        with a large one contact changes, and the defects G are large.
 
-        The collective function `candidate_at` returns the candidate with the load L + t J; if the
+        The collective function `candidate_at` returns the candidate of the load L + t J; if the
         goal is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
         """
-        bodies = self._bodies
-        of_w = bodies.loading_of(self.w) if self.is_force else 0.0
-
-        def limits_at(t: float) -> Array:
-            """Return upper limits (2,) of J and -J. Collective."""
-            candidates, result = {sign: candidate_at(sign * t) for sign in (1.0, -1.0)}, []
-            for sign, candidate in candidates.items():
-                v = candidates[-sign].v
-                # the stress of `w` balances the load t J of a force
-                difference = candidate.loading - bodies.loading_of(v) + sign * t * of_w
-                defects = bodies.defects(candidate.surfaces, v)
-                bodies.shorten(difference, gain)
-                eta = np.sqrt(bodies.energies.squared_norms(difference)) + candidate.oscillation
-                square, defect = reduce_array(bodies.comm, [0.25 * (eta**2).sum(), defects.sum()])
-                result.append(sign * self.value(v) + (square + max(defect, 0.0)) / t)
-            return np.array(result)
-
-        start = self._dual.norm_of(u) / self._dual.norm_of(self.w)
-        upper, lower = np.min([limits_at(start * multiple) for multiple in MULTIPLES], axis=0)
-        return GuaranteedGoal(-float(lower), float(upper), self.value(u))
+        bodies, limits = self._bodies, []
+        size = self._dual.norm_of(u) / self._dual.norm_of(self.w)
+        sizes = [sign * multiple * size for multiple in MULTIPLES for sign in (1.0, -1.0)]
+        candidates = {t: candidate_at(t) for t in sizes}
+        for t, candidate in candidates.items():
+            v = candidates[-t].v
+            difference = candidate.loading - bodies.loading_of(v) + t * self._stress
+            bodies.shorten(difference, gain)
+            eta = np.sqrt(bodies.energies.squared_norms(difference))
+            eta += bodies.oscillation + abs(t) * self._oscillation
+            defects = bodies.defects(candidate.surfaces, v)
+            square, defect = reduce_array(bodies.comm, [(eta**2).sum(), defects.sum()])
+            limits.append(self.value(v) + float(0.25 * square + max(defect, 0.0)) / t)
+        return GuaranteedGoal(max(limits[1::2]), min(limits[::2]), self.value(u))

@@ -29,11 +29,10 @@ from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function; and the latter for the quadratic part of w on F. Their proof is in
-#: docs/theory/guaranteed.md, and tests/guaranteed/test_constants.py computes them.
+#: nearest linear function. Their proof is in docs/theory/guaranteed.md, and
+#: tests/guaranteed/test_constants.py computes them.
 POINCARE = {2: 0.540, 3: 0.768}
 TRACE = {2: 1.522, 3: 4.473}
-QUADRATIC_TRACE = {2: 1.378, 3: 3.259}
 
 
 @cache
@@ -90,10 +89,9 @@ def opposite(d: int) -> Indices:
 def rigid_motions(arms: Array) -> Array:
     """Return translations and rotations (..., r, k, d) at the ends of arms (..., k, d)."""
     d = arms.shape[-1]
-    turns = list(combinations(range(d), 2))
-    result = np.zeros((*arms.shape[:-2], d + len(turns), *arms.shape[-2:]))
+    result = np.zeros((*arms.shape[:-2], d * (d + 1) // 2, *arms.shape[-2:]))
     result[..., range(d), :, range(d)] = 1.0
-    for row, (i, j) in enumerate(turns, d):
+    for row, (i, j) in enumerate(combinations(range(d), 2), d):
         result[..., row, :, i], result[..., row, :, j] = -arms[..., j], arms[..., i]
     return result
 
@@ -125,14 +123,13 @@ class Simplices:
 
     def resultants(self, loading: Array) -> Array:
         """Return forces (n, d + 1, d) at vertices with a loading's work on linear displacements."""
-        n, corners, d = self.points.shape
-        means = np.zeros((corners, corners, corners))  # at vertex k, of the data at (j, i)
-        for j, vertices in enumerate(opposite(d)):
-            means[vertices, j, :d] = mean_products(d, 2)
-        means[:, :, d] = mean_products(corners, 2)
-        sizes = np.repeat(self.areas[:, :, None, None], corners, axis=2)
-        sizes[:, :, d] = self.volumes[:, None, None]
-        return np.asarray(means.reshape(corners, -1) @ (sizes * loading).reshape(n, corners**2, d))
+        volumes, areas = self.volumes[:, None, None], self.areas[:, :, None, None]
+        forces = volumes * (mean_products(self.d + 1, 2) @ loading[:, :, self.d])
+        for j, vertices in enumerate(opposite(self.d)):
+            forces[:, vertices] += areas[:, j] * (
+                mean_products(self.d, 2) @ loading[:, j, : self.d]
+            )
+        return forces
 
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
@@ -152,13 +149,10 @@ class Simplices:
 
     def loading_of(self, stress: Array) -> Array:
         """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
-        n, corners, d = self.points.shape
-        products = stress.reshape(n, corners * d, d) @ np.swapaxes(self.normals, 1, 2)
-        products = np.moveaxis(products.reshape(n, corners, d, corners), 3, 1)
-        tractions = products[:, np.arange(corners)[:, None], opposite(d)]
-        load = np.einsum("nkka,nk->na", products, 1.0 / self.heights)[:, None, None]
-        load = np.broadcast_to(load, (n, corners, 1, d))
-        return np.concatenate([tractions, load], axis=2)
+        products = np.einsum("nkab,njb->njka", stress, self.normals)
+        tractions = products[:, np.arange(self.d + 1)[:, None], opposite(self.d)]
+        load = -np.einsum("nkab,nkb->na", stress, self.gradients)[:, None, None]
+        return np.concatenate([tractions, np.repeat(load, self.d + 1, axis=1)], axis=2)
 
 
 def _regular_frame(d: int) -> Array:
@@ -174,9 +168,9 @@ def stress_products(d: int) -> Array:
     symmetric, quadratic in each subcell, and have continuous tractions between subcells. For each
     loading in equilibrium that of the least norm is taken, which is linear in the loading.
 
-    The result (k, m, m) has matrices A_ij in the order of `tril_indices`: the squared norm with the
-    compliance C_ij, in terms of `symmetric`, is the sum of all C_ij A_ij times the volume.
-    The m data are the entries of the loading, with tractions S grad lambda_j of the stress S.
+    The result (k, k, m, m) has matrices A_ij: the squared norm with the compliance C_ij (k, k), in
+    terms of `symmetric`, is the sum of all C_ij A_ij times the volume. The m data are the entries
+    of the loading, with tractions S grad lambda_j of the stress S.
     """
     n, (places, shapes, means) = d + 1, lagrange(d + 1)
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
@@ -205,10 +199,7 @@ def stress_products(d: int) -> Array:
     matrix = np.concatenate(equations).reshape(-1, stress.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
     least = least.reshape(n * len(places), symmetric(d).shape[1], -1)
-    row, column = np.tril_indices(least.shape[1])
-    products = np.einsum("pax,pay->axy", least[:, row], least[:, column], optimize=True)
-    products[row == column] *= 0.5
-    return np.asarray(products + np.swapaxes(products, 1, 2))
+    return np.asarray(np.einsum("pax,pby->abxy", least, least, optimize=True))
 
 
 class StressEnergies:
@@ -220,14 +211,11 @@ class StressEnergies:
     def __init__(self, cells: Simplices, compliance: Array) -> None:
         """Compute the matrices of all cells; compliances are in terms of `symmetric`."""
         n, corners, d = cells.points.shape
-        products = stress_products(d)
         frames = cells.frames @ np.linalg.inv(_regular_frame(d))
         maps = np.einsum("nia,njb->nabij", frames, frames).reshape(n, d * d, d * d)
         maps = symmetric(d).T @ maps @ symmetric(d)
         pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
-        row, column = np.tril_indices(pulled.shape[1])
-        matrices = pulled[:, row, column] @ products.reshape(len(row), -1)
-        self._matrices = matrices.reshape(n, *products.shape[1:])
+        self._matrices = np.tensordot(pulled, stress_products(d), 2)
         # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
         # with tractions S grad lambda_j
         self._scales = np.ones((n, corners, corners, 1))
@@ -259,6 +247,7 @@ class MeshCells(Simplices):
 
     Attributes:
         V: the space of the displacement.
+        order: (n, d + 1) the local numbers of the vertices in DOLFINx.
         quadratics: the space of vectors that are quadratic in cells.
         dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.
         vertices: (n, d + 1) global numbers of the vertices.
@@ -288,7 +277,8 @@ class MeshCells(Simplices):
         numbers = topology.index_map(0).local_to_global(local.ravel()).reshape(local.shape)
         cell, order = np.arange(count)[:, None], np.argsort(numbers, axis=1)
         super().__init__(mesh.geometry.x[geometry_dofmap(mesh)[cell, order], :d])
-        self.V, self.vertices, self.facets = V, numbers[cell, order], facets[cell, order]
+        self.V, self.order = V, order
+        self.vertices, self.facets = numbers[cell, order], facets[cell, order]
         between = np.diag(np.arange(d + 1))
         for edge, (i, j) in enumerate(basix.topology(mesh.basix_cell())[1], d + 1):
             between[i, j] = between[j, i] = edge

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from typing import Any
-
 import numpy as np
 from scipy.sparse import kron
 
@@ -17,11 +14,11 @@ from dolfinx_tresca.dual.jump import RowsOfPair
 from dolfinx_tresca.dual.nodal_values import NodalValues
 from dolfinx_tresca.dual.program import DualProgram
 from dolfinx_tresca.guaranteed.cells import MeshCells, bernstein, mean_products, pair_means
-from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pair_surfaces import pair_surfaces
+from dolfinx_tresca.pairing.pair_surfaces import pair_displaced_surfaces
+from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
-from dolfinx_tresca.scene.pair import ContactPair, SideName
+from dolfinx_tresca.scene.pair import SideName
 
 #: Difference of unit normals, and of entries of the primary side's means from 1, that count as
 #: rounding.
@@ -41,26 +38,19 @@ class ContactSurface:
     """
 
     def __init__(
-        self,
-        cells: MeshCells,
-        dual: DualProgram,
-        number: int,
-        multipliers: Array,
-        bounds: Array,
-        prescribed: Mask,
+        self, cells: MeshCells, dual: DualProgram, number: int, multipliers: Array, bounds: Array
     ) -> None:
         """Interpolate multipliers (size,) of a pair between nodes. Collective.
 
-        Slip bounds (nodes of all pairs,) [stress] and prescribed (nodes of this rank, d) are given.
+        Slip bounds (nodes of all pairs,) [stress] are given.
         """
         rows = dual.jump.by_pair[number]
         bounds = bounds[rows.nodes]
         group = rows.operators.undeformed.group
-        member = group.numbers.index(number)
-        self._pair = pair = group.pairs[member]
-        self._cells, self._free = cells, ~prescribed
+        self._pair = pair = group.pairs[group.numbers.index(number)]
         self._bonded = isinstance(pair.friction, Bonded)
-        V, d, comm = cells.V, cells.d, cells.V.mesh.comm
+        self._cells, V, d, comm = cells, cells.V, cells.d, cells.V.mesh.comm
+        self._free = cells.spread(dual.jump.system.prescribed.reshape(-1, d)) == 0.0
         rigid = isinstance(pair.primary, RigidPlane)
         needed = (
             "contact with rigid planes, or of bodies of degree 1 whose meshes match on flat "
@@ -70,16 +60,19 @@ class ContactSurface:
         )
         alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
         alike &= bool((rows.operators.semi_axes == 1.0).all() and np.isfinite(bounds).all())
-        every = _with_all_nodes(V, pair)
+        # as if nothing were prescribed: all nodes have jumps and distances. Displaced surfaces are
+        # paired without the warnings that the log has already
+        nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
+        undeformed = Undeformed.from_mesh(V, nothing, PairGroup.from_pairs([pair]))
+        (every,) = pair_displaced_surfaces(V, undeformed, np.zeros(self._free.shape))
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
         nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()
         cells.require(alike and (rigid or nodewise), needed)
         self._facing = every.nodes  # the primary side, prescribed ones included
         opposite_nodes = kron(every.primary, np.eye(d), format="csr")  # none of a plane
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
-        gaps = every.distance
-        if pair.gap is not None:
-            gaps = gaps + NodalValues(V).values_at(pair.gap, self._facing, "the gap")[:, 0]
+        added_gap = 0.0 if pair.gap is None else pair.gap
+        gaps = every.distance + NodalValues(V).values_at(added_gap, self._facing, "the gap")[:, 0]
         self._gaps = self._at_nodes(gaps[:, None])
 
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
@@ -135,9 +128,8 @@ class ContactSurface:
         friction, self._origins = vectors[:, :d] @ across, vectors[:, d:] @ across
         if not self._bonded:
             pressure = np.maximum(pressure, 0.0)
-            sizes = np.linalg.norm(friction, axis=1)
-            share = np.minimum(1.0, self._bounds / np.maximum(sizes, LEAST_DIVISOR))
-            friction *= share[:, None]
+            share = self._bounds / np.maximum(np.linalg.norm(friction, axis=1), LEAST_DIVISOR)
+            friction *= np.minimum(1.0, share)[:, None]
         self._pressed = self._bonded | (pressure[:, 0] > 0.0)
         return np.asarray(friction - pressure * self._normal)
 
@@ -162,29 +154,24 @@ class ContactSurface:
         opposites = self._cells.spread(unknowns.array.reshape(-1, values.shape[1]))
         return self._at_nodes(values[self._facing]) - opposites
 
-    def _coefficients(self, values: Array) -> Array:
-        """Return Bernstein's coefficients (m, d, d, d) of jumps on facets. Collective."""
-        return bernstein(self._jumps(values)[self._nodes])
-
     def lift(self, v: fem.Function) -> None:
         """Move nodes such that nothing penetrates, and bonded surfaces have no jumps. Collective.
 
         Pressed nodes also close their gaps. The nodes of both sides move, where they are free.
         """
-        axes, V = self._axes.sum(axis=0), self._cells.V
-        values = v.x.array.reshape(-1, self._cells.d)
-        room = self._jumps(self._free * self._carried(np.tile(axes, (len(values), 1))))
+        values, nodes = v.x.array.reshape(-1, self._cells.d), self._nodes
+        axes = np.zeros_like(values) + self._axes.sum(axis=0)
+        room = self._jumps(self._free * self._carried(axes))
         steps = self._steps(self._jumps(values), self._gaps, self._pressed, room)
         values -= self._free * self._carried(steps)
-        if V.element.basix_element.degree == 2:
-            nodes, gaps = self._nodes, pair_means(self._gaps[self._corners])
-            pressed = self._pressed[self._corners]
+        if v.function_space.element.basix_element.degree == 2:
+            pressed, gaps = self._pressed[self._corners], pair_means(self._gaps[self._corners])
             pressed = pressed[:, :, None] & pressed[:, None]
-            room = self._free[nodes] * axes
             # a coefficient moves twice as far as the middle; a node takes the mean of its facets
-            moves = 0.5 * self._steps(self._coefficients(values), gaps, pressed, room)
+            coefficients = bernstein(self._jumps(values)[nodes])
+            moves = 0.5 * self._steps(coefficients, gaps, pressed, (self._free * axes)[nodes])
             moves = np.concatenate([moves, np.ones((*nodes.shape, 1))], axis=3)
-            sums = summed_at_nodes(V.dofmap.index_map, nodes, moves)
+            sums = summed_at_nodes(v.function_space.dofmap.index_map, nodes, moves)
             values -= self._free * sums[:, :-1] / np.maximum(sums[:, -1:], 1.0)
 
     def _steps(self, jumps: Array, gaps: Array, pressed: Mask, room: Array) -> Array:
@@ -204,7 +191,7 @@ class ContactSurface:
         Raises:
             InputError: v penetrates, or has jumps of bonded surfaces.
         """
-        jumps = self._coefficients(v.x.array.reshape(-1, self._cells.d))
+        jumps = bernstein(self._jumps(v.x.array.reshape(-1, self._cells.d))[self._nodes])
         closing, pressure = jumps @ self._normal, -self._tractions @ self._normal
         friction = self._tractions + pressure[:, :, None] * self._normal
         openings = pair_means(self._gaps[self._corners])[..., 0] - closing
@@ -221,18 +208,3 @@ class ContactSurface:
         needed = f"prescribed displacements that do not penetrate, unlike those of {self._pair}"
         self._cells.require(deepest <= PENETRATION * size, needed)
         return np.stack([complementarity, lack], axis=1)
-
-
-def _with_all_nodes(V: Any, pair: ContactPair) -> PairOperators:
-    """Pair surfaces as if nothing were prescribed: all nodes have jumps and distances. Collective.
-
-    The log has the pairing of the problem already.
-    """
-    logger = logging.getLogger("dolfinx_tresca")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
-        return pair_surfaces(V, nothing, pair)
-    finally:
-        logger.setLevel(level)

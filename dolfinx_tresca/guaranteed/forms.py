@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import EntityMaps
-from dolfinx_tresca.guaranteed.cells import QUADRATIC_TRACE, TRACE, MeshCells, lagrange, symmetric
+from dolfinx_tresca.guaranteed.cells import MeshCells, lagrange, mean_products, symmetric
 from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Forces that a constant stiffness does not explain, relative to it, that count as rounding.
@@ -18,10 +18,10 @@ STIFFNESS_ROUNDING = 1e-9
 #: Difference of the cosine of two unit normals from 1 that counts as rounding.
 NORMAL_ROUNDING = 1e-8
 
-#: Quadrature of the squared distance of a load from its projection: exact for polynomials of degree
-#: up to 5. With the degree that UFL estimates, four fifths of the time of a bound were spent here
-#: for loads of sines and cosines.
-SQUARES = {"quadrature_degree": 10}
+#: Quadrature of loads, and of their squared distances from their projections: exact for polynomials
+#: of degree up to 5. With the degree that UFL estimates, four fifths of the time of a bound were
+#: spent here for loads of sines and cosines.
+QUADRATURE = {"quadrature_degree": 10}
 
 
 def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, ...]:
@@ -55,10 +55,9 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
     rounding = STIFFNESS_ROUNDING * np.trace(moduli, axis1=1, axis2=2) / cells.heights.min(axis=1)
     least = np.linalg.eigvalsh(moduli)[:, 0]
-    is_constant = {integral.integral_type() for integral in a.integrals()} == {"cell"}
-    is_constant &= bool((difference <= rounding).all())
+    kinds = {integral.integral_type() for integral in a.integrals()}
     cells.require(
-        is_constant and (least > 0.0).all(),
+        kinds == {"cell"} and (difference <= rounding).all() and (least > 0.0).all(),
         "a form a of integrals over cells, of the strain alone, with positive moduli that are "
         'constant in each cell: interpolate them into a space ("DG", 0). This form has moduli that '
         "vary in cells, or integrals over facets, or depends on the displacement itself, as "
@@ -73,8 +72,7 @@ def loads(
     """Return the linear projections of the loads of a form, and their distances. Collective.
 
     `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
-    relative to the energy norm: in the cell, and on each facet. Projections have the degree that
-    UFL estimates, and are exact for polynomials.
+    relative to the energy norm: in the cell, and on each facet.
 
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
@@ -92,50 +90,37 @@ def loads(
         f"has integrals of the kinds {sorted(kinds)}, or depends on the gradient of the "
         "displacement, as an initial stress does",
     )
-    constant = fem.functionspace(mesh, ("DG", 0))
-    quadratic_load, weight = fem.Function(cells.quadratics), ufl.TestFunction(constant)
-    test, cell_dofs = ufl.TestFunction(cells.quadratics), constant.dofmap.list[:n, 0]
+    linears = fem.functionspace(mesh, ("DG", 1, (d,)))
+    test, weight = map(ufl.TestFunction, (linears, fem.functionspace(mesh, ("DG", 0))))
+    projection = fem.Function(linears)
+    dofs = linears.dofmap.list[np.arange(n)[:, None], cells.order]
     # a form integrates over all facets of a cell. For the integral over one facet of each cell,
     # `normal` is the normal of this facet, and the integrand is zero where normals differ
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
     on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)
-    # of the cell, then of each facet
-    sizes = np.insert(cells.areas, 0, cells.volumes, axis=1)
-    loaded = np.insert(cells.sides[cells.facets, 0, 0] == 1.0, 0, True, axis=1)
+    sizes = np.insert(cells.areas, 0, cells.volumes, axis=1)  # of the cell, then of each facet
     for integral in L.integrals():
-        indicator, ratio, numbers = 1.0, 1.0, range(1)
+        axes = (ufl.replace(integral.integrand(), {argument: ufl.as_vector(e)}) for e in np.eye(d))
+        load = ufl.as_vector(list(axes))
+        difference, on_part, numbers = load - projection, 1.0, range(1)
         if integral.integral_type() != "cell":
-            indicator, ratio = on_facet, QUADRATIC_TRACE[d] / TRACE[d]
-            numbers = range(1, corners + 1)
-        axes = [ufl.replace(integral.integrand(), {argument: ufl.as_vector(e)}) for e in np.eye(d)]
-        square = sum((load - quadratic_load[i]) ** 2 for i, load in enumerate(axes))
-        integrands = ufl.replace(integral.integrand(), {argument: test}), square * weight
-        forces, squares = (
+            on_part, numbers = on_facet, range(1, corners + 1)
+        moments, squares = (
             fem.form(
-                ufl.Form([integral.reconstruct(indicator * values, metadata=metadata)]),
+                ufl.Form([integral.reconstruct(on_part * values, metadata=QUADRATURE)]),
                 entity_maps=maps,
             )
-            for values, metadata in zip(integrands, ({}, SQUARES), strict=True)
+            for values in (ufl.inner(load, test), ufl.inner(difference, difference) * weight)
         )
         for number in numbers:
-            vertices = np.flatnonzero(np.arange(corners) != number - 1)
-            load = loading[:, number - 1, :d] if number else loading[:, :, d]
-            cell = np.flatnonzero(loaded[:, number])
-            size = sizes[cell, number]
-            normal.x.array.reshape(-1, d)[cell_dofs] = cells.normals[:, number - 1]
-            linear, _, means = lagrange(len(vertices))
-            nodes = lagrange(corners)[0][:, vertices].sum(axis=1) == 1.0
-            basis_dofs = cells.dofs[cell][:, nodes]
-            moments = fem.assemble_vector(forces).array.reshape(-1, d)[basis_dofs]
-            values = np.linalg.inv(means) @ moments / size[:, None, None]
-            quadratic_load.x.array[:] = 0.0
-            quadratic_load.x.array.reshape(-1, d)[basis_dofs] = values
-            remainder = np.maximum(fem.assemble_vector(squares).array[cell_dofs[cell]], 0.0) ** 0.5
-            projection = np.linalg.solve(linear.T @ means @ linear, linear.T @ means) @ values
-            values -= linear @ projection
-            load[cell] += projection  # a view of the loading
-            quadratic = np.sqrt(size * (values * (means @ values)).sum(axis=(1, 2)))
-            work = np.minimum(np.hypot(quadratic, remainder), ratio * quadratic + remainder)
-            oscillation[cell] += factors[cell, number] * work
+            dof = dofs[:, np.arange(corners) != number - 1]
+            normal.x.array.reshape(-1, d)[:n] = cells.normals[:, number - 1]
+            work = fem.assemble_vector(moments).array.reshape(-1, d)[dof]
+            work /= sizes[:, number, None, None]
+            values = np.linalg.inv(mean_products(dof.shape[1], 2)) @ work
+            projection.x.array.reshape(-1, d)[dof] = values
+            given = loading[:, number - 1, :d] if number else loading[:, :, d]
+            given += values  # a view of the loading
+            oscillation += factors[:, number] * np.sqrt(fem.assemble_vector(squares).array[:n])
     return loading, oscillation

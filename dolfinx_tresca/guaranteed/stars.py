@@ -9,7 +9,7 @@ from scipy.sparse import bsr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
-from dolfinx_tresca.guaranteed.cells import MeshCells, mean_products, opposite, rigid_motions
+from dolfinx_tresca.guaranteed.cells import MeshCells, opposite, rigid_motions
 
 #: Stiffness, relative to that of a cell, that is added so that no star is loose. Equations of stars
 #: are solved up to this number.
@@ -39,13 +39,13 @@ class Stars:
         sums = cells.facet_sums(stiffness)
         unknown = np.tile(cells.facet_sums(free[:, :, None].astype(np.float64)) > 0.0, d)
         both = np.swapaxes(unknown, 1, 2) & unknown
-        diagonal = np.trace(sums, axis1=1, axis2=2)[:, None, None] * np.eye(d * d)
-        self._roots = both * np.linalg.cholesky(np.linalg.inv(np.where(both, sums, diagonal)))
+        self._roots = both * np.linalg.cholesky(np.linalg.inv(np.where(both, sums, np.eye(d * d))))
 
         # the facets at vertex k are opposite to the vertices near[k]
         near = opposite(d)
         arms = cells.points[:, near[near]] - cells.points[:, :, None, None]
-        work = rigid_motions(d * mean_products(d, 2) @ arms)
+        # the means of two hat functions' products are 1 / d / (d + 1), twice this for equal ones
+        work = rigid_motions((arms + arms.sum(axis=3, keepdims=True)) / (d + 1))
         work *= (cells.signs[..., 0, 0] * cells.areas)[:, near][..., None, None, None] / d
         facets, size = cells.facets[:, near], work.shape[3]
         work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]

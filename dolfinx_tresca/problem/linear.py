@@ -343,15 +343,14 @@ class ContactProblem(ContactProcess):
         load = multiple * functional.form if L is None else L + multiple * functional.form
         # differences of these solves count
         options = self.options.with_changes(rtol=SMALLEST_TOLERANCE)
-        # the load of a force is balanced by the stress of `functional.w`
-        balanced = L if functional.is_force else load
 
         def candidate(t: float) -> bound.Candidate:
             multiple.value = t
             contact.solve(options, self.units, lambda iteration: False)
             # the bound holds for any multipliers, converged or not
             loaded = contact.solution_for("a guaranteed bound")
-            return bodies.candidate(loaded.dual, loaded.multipliers, loaded.fields.u, balanced)
+            given = bodies.load + t * functional.load
+            return bodies.candidate(loaded.dual, loaded.multipliers, loaded.fields.u, given)
 
         with contact.restored(), linear.loaded(load):
             return functional.interval(solved.fields.u, candidate, gain)

@@ -68,7 +68,7 @@ class EqualityConstraints:
     Attributes:
         columns: G (size, k), with columns of length 1 or less. Each row has entries for few bodies
             only.
-        softness: (k, k) S, symmetric and positive semidefinite.
+        softness: (k, k) S, symmetric.
         values: (k,) e.
         term_sums: (k,) sums of the absolute values of the terms of e, from which rounding errors
             are estimated.
@@ -228,7 +228,9 @@ def balance(
     term_sums = np.maximum(constraints.term_sums, np.abs(constraints.values))
     depth = 0.5 * LARGEST_REACTION**2 * float(term_sums @ term_sums) if start is None else np.inf
     eigenvalues, vectors = constraints.soft_directions
-    weights = np.ones_like(eigenvalues) if softness_factor is None else softness_factor * eigenvalues
+    weights = np.ones_like(eigenvalues)
+    if softness_factor is not None:
+        weights = softness_factor * eigenvalues
     C: csr_array = vectors @ diags_array(weights) @ vectors.T
     y = np.zeros(G.shape[0]) if start is None else start
     agreed = constraints.reductions.from_first_rank
