@@ -200,6 +200,7 @@ class ContactSystem(PetscOwner):
         """Return to a former state; K and the user's obstacles stay as they are. Collective."""
         self.state = state
         if state.jump is not self.jump:
+            # the former B was destroyed; obstacles record where they are paired
             present_motions = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)

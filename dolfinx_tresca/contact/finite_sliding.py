@@ -127,8 +127,8 @@ class FiniteSliding:
         Changes within the rounding of positions count as zero, such as those of a body at rest.
         """
         contact, state = self._contact, self._contact.state
-        pressures = np.asarray(contact.compliance.stress_rounding / contact.jump.stress_scale)
-        rounding = contact.contact_forces(pressures)
+        of_multipliers = contact.compliance.stress_rounding / contact.jump.stress_scale
+        rounding = contact.contact_forces(np.asarray(of_multipliers))
         forces, gaps = contact.contact_forces(), contact.gaps_at_nodes(u)
         former = self._path[-1] if self._path else None
         force_change = forces if former is None else forces - former.forces
@@ -140,23 +140,24 @@ class FiniteSliding:
         )
         former_distance = math.inf if former is None else former.distance
         self._grows = self._grows + 1 if distance > former_distance else 0
-        before, self.change = self.change, math.inf
+        last_change, self.change = self.change, math.inf
         if former is not None:
             gap_change = np.nan_to_num(gaps - former.gaps)
-            before_step = state.accepted.displacement
-            step = u.x.array - (0.0 if before_step is None else before_step.x.array)
-            change, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
+            accepted_u = state.accepted.displacement
+            step = u.x.array - (0.0 if accepted_u is None else accepted_u.x.array)
+            largest, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
             length = max(length, SMALL_STEP * displaced)
             resolution = ROUNDING * (contact.obstacles.extent + displaced)
             self.change = max(
                 _root_of_ratio(change_square, force_square, rounding_square),
-                _root_of_ratio(change**2, length**2, resolution**2),
+                _root_of_ratio(largest**2, length**2, resolution**2),
             )
-        change, ratio = self.change, 0.5
-        if math.isfinite(before) and before > 0.0:
+        change, ratio = self.change, 0.5  # of successive changes, if none is known
+        if math.isfinite(last_change) and last_change > 0.0:
             least = min(LEAST_FRACTION, _root_of_ratio(distance, former_distance))
-            change, ratio = max(change, least * before), change / before
+            change, ratio = max(change, least * last_change), change / last_change
         ratio = _inside(ratio)
+        # the sum of all further changes, as in a geometric series
         self.error = change * ratio / (1.0 - ratio)
         loads = contact.normal_forces_at_nodes()
         self._path.append(Configuration(w, u.x.array.copy(), loads, forces, gaps, distance))

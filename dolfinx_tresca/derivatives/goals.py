@@ -75,13 +75,15 @@ def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Arr
         by_x[n] = pair.weights[i]
     elif isinstance(goal, ContactForce):
         along = unit(np.array(goal.direction))
+        # jumps are those of the secondary side, and B'x acts against them
         by_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
         by_x[t] = -pair.weights[j] * (pair.tangents @ along)
     elif isinstance(goal, PressureNorm):
         pressure = (x * jump.stress_scale)[n]
         magnitude = np.abs(pressure)
         largest = float(reduce_array(jump.comm, magnitude.max(initial=0.0), MPI.MAX))
-        magnitude /= largest or 1.0  # so that its powers do not overflow
+        # powers must not overflow; the derivative does not depend on the magnitude's unit
+        magnitude /= largest or 1.0
         weights, m = pair.weights[i], goal.exponent
         whole = float(reduce_array(jump.comm, weights @ magnitude**m))
         if whole > 0.0:

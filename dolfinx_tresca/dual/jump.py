@@ -92,8 +92,8 @@ class JumpOperator(PetscOwner):
         counts = [len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)]
         rows = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
         self._rows = list(zip(rows[::2], rows[1::2], strict=True))
-        starts = zip(pairs, self.nodes, strict=True)
-        self.row_nodes = np.concatenate([pair.row_node + nodes.start for pair, nodes in starts])
+        with_nodes = zip(pairs, self.nodes, strict=True)
+        self.row_nodes = np.concatenate([pair.row_node + nodes.start for pair, nodes in with_nodes])
         self._root_areas = np.sqrt(np.concatenate([pair.weights for pair in pairs]))
         scale: Array = 1.0 / self._root_areas[self.row_nodes]
         is_tangential, is_bonded = np.zeros((2, len(scale)), dtype=np.bool_)
@@ -108,14 +108,14 @@ class JumpOperator(PetscOwner):
         stretch[tangential], self._relative_radius, frictionless = friction_discs(
             self.row_nodes[tangential], semi_axes, count
         )
-        self._of_V = assemble_B(system.V, pairs)
-        self._multipliers, self._jump = self._of_V.createVecLeft(), self._of_V.createVecLeft()
+        # rows times the roots of areas, and then times the stretch
+        self._of_V = B = assemble_B(system.V, pairs)
+        self._multipliers, self._jump = B.createVecLeft(), B.createVecLeft()
         self._multipliers.array = stretch
-        self._of_V.diagonalScale(L=self._multipliers)
-        component = system.component
-        self.matrix = self._of_V if component is None else component.columns(self._of_V)
+        B.diagonalScale(L=self._multipliers)
+        self.matrix = B if system.component is None else system.component.columns(B)
         if frames is not None:
-            self.matrix = frames.columns(self._of_V)
+            self.matrix = frames.columns(B)
         self._force, self.work = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
@@ -126,7 +126,7 @@ class JumpOperator(PetscOwner):
         node[has_own_disc] = count + np.arange(has_own_disc.sum())
         radius = np.full(count + has_own_disc.sum(), np.inf)
         normal = np.flatnonzero(~(is_tangential | is_bonded))
-        normal_of = np.full(len(radius), -1)
+        normal_of = np.full(len(radius), -1)  # the normal row of each disc; -1: none
         normal_of[self.row_nodes[normal]] = normal
         self.discs = FeasibleSet(len(scale), normal, tangential, node, radius, normal_of)
 

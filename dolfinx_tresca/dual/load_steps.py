@@ -189,6 +189,7 @@ class SlipHistory:
         For each pair, slips (n, d + 1) are slip vectors at its nodes and the lengths of their paths
         [length].
         """
+        # without the lengths of paths, and with a zero normal component in front
         vectors = [np.pad(slip[:, :-1], ((0, 0), (1, 0))) for slip in slips]
         origin = jump.components(vectors) / jump.length_scale
         return cls.none(jump).after(jump, origin, slips, dissipation)

@@ -226,11 +226,13 @@ class DualProgram:
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
         """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if less than its error.
 
-        Rigid displacements of bodies on soft springs are left out. The first call may need a solve
-        with K, if forces act and displacements are prescribed. Collective.
+        The gradient r is A x - b, without G c. Rigid displacements of bodies on soft springs are
+        left out. The first call may need a solve with K, if forces act and displacements are
+        prescribed. Collective.
         """
         energy, jump_of_forces = self._load_terms
-        # u = K^-1 f - K^-1 B'x: |u|^2 = f'K^-1 f - 2 x'B K^-1 f + x'A x, where A x = r + b
+        # u = K^-1 f - K^-1 B'x: |u|^2 = f'K^-1 f - 2 x'B K^-1 f + x'A x, where A x = r + b; in the
+        # middle term only forces count, since K^-1 B'x is zero where displacements are prescribed
         square = energy + float(self.inner(x, r + self.b - 2.0 * jump_of_forces))
         # the square is a difference of energies; an error e of u changes it by 2 e |K^-1 f|_K
         resolved = square > 2.0 * error * float(np.sqrt(energy))

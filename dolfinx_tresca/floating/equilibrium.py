@@ -284,20 +284,22 @@ class FloatingBodies:
         """Check that contact resists all motions that K does not resist at all. Collective.
 
         The `gram` (k, k) has the inner products of the jumps that contact resists; their lengths
-        (k,) are zero if they are small compared with the largest length of the mode's body.
+        (k,) are zero if they are small compared with `largest` (k,), the largest length of the
+        mode's body, by which such modes are divided.
         """
-        floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
+        floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)  # set to 0 where it is rounding
         lengths = np.where(length > 0.0, length, largest)[floats]
         scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
         scaled = diags_array(scale) @ gram[floats][:, floats] @ diags_array(scale)
-        motions, more = _unresisted(csr_array(scaled), self._body_of_motion[floats])
+        motions, further_bodies = _unresisted(csr_array(scaled), self._body_of_motion[floats])
         if motions.size:
             components = np.zeros((len(length), motions.shape[1]))
             components[floats] = scale[:, None] * motions
             most = np.square(components).sum(axis=0).argmax()
             motion = reductions.from_first_rank(components[:, most])
+            nor = f"; nor {further_bodies} more" * (further_bodies > 0)
             raise MechanismError(
-                f"nothing holds {self.describe(components)}{f'; nor {more} more' * (more > 0)}, "
+                f"nothing holds {self.describe(components)}{nor}, "
                 "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
                 "add a soft spring to a, or give the contact friction."
                 + " Leave this motion of a tool out of free=."

@@ -279,15 +279,18 @@ class MeshCells(Simplices):
         super().__init__(mesh.geometry.x[geometry_dofmap(mesh)[cell, order], :d])
         self.V, self.order = V, order
         self.vertices, self.facets = numbers[cell, order], facets[cell, order]
+        # local numbers of nodes of degree 2: vertices i = j, and middles between vertices i and j
         between = np.diag(np.arange(d + 1))
         for edge, (i, j) in enumerate(basix.topology(mesh.basix_cell())[1], d + 1):
             between[i, j] = between[j, i] = edge
         pairs = between[order[:, :, None], order[:, None]]
-        nodes = pairs if V.element.basix_element.degree == 2 else order[:, :, None] + 0 * pairs
+        is_quadratic = V.element.basix_element.degree == 2
+        nodes = pairs if is_quadratic else np.broadcast_to(order[:, :, None], pairs.shape)
         self.nodes = V.dofmap.list[cell[:, None], nodes]
-        self.quadratics, (i, j) = fem.functionspace(mesh, ("DG", 2, (d,))), np.triu_indices(d + 1)
-        self.dofs = self.quadratics.dofmap.list[cell, pairs[:, i, j]]
+        self.quadratics = fem.functionspace(mesh, ("DG", 2, (d,)))
+        self.dofs = self.quadratics.dofmap.list[cell, pairs[(slice(None), *np.triu_indices(d + 1))]]
         self.facet_nodes = self.nodes[:, opposite(d)[:, :, None], opposite(d)[:, None]]
+        # which way the ascending vertices of a facet turn, seen from each of its two cells
         turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]
         self.signs = np.sign(turns)[:, :, None, None]
         self.sides = self.facet_sums(np.ones_like(self.signs))

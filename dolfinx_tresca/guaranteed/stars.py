@@ -75,16 +75,18 @@ class Stars:
     def _balancing(self, missing: Array) -> Array:
         """Return the least tractions (facets, d * d, 1) of all stars in terms of `_roots`.
 
-        They have the forces and moments (n, d + 1, r) at the vertices of cells. Collective.
+        They have the forces and moments `missing` (n, d + 1, r) at the vertices of cells, and are
+        W'(W W')^-1 `missing` with the `_work` W of all stars. Collective.
         """
         comm, owner = self._cells.V.mesh.comm, self._owner
         right, _ = exchange(comm, missing.reshape(len(owner), missing.shape[2]), owner)
         forces = PETSc.Vec().createWithArray(right.ravel(), comm=PETSc.COMM_SELF)
         self._factors.solve(forces, solution := forces.duplicate())
         returned, _ = exchange(comm, solution.array.reshape(right.shape), self._senders)
-        supports = np.empty_like(returned)
-        supports[np.argsort(owner, kind="stable")] = returned
-        tractions = (supports.ravel() @ self._work).reshape(self._roots.shape[:2])
+        multipliers = np.empty_like(returned)
+        # rows return in the order of the ranks that own the stars
+        multipliers[np.argsort(owner, kind="stable")] = returned
+        tractions = (multipliers.ravel() @ self._work).reshape(self._roots.shape[:2])
         index_map = self._cells.V.mesh.topology.index_map(self._cells.d - 1)
         return summed_at_nodes(index_map, np.arange(len(tractions)), tractions)[..., None]
 

@@ -349,11 +349,13 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
     for contact in contacts:
         values = contact.grid.values
         gap = np.where(values["pressed"] > 0.0, 0.0, values["gap"])
-        closed = values["initial_gap"] - gap
-        closed = np.where(values["pressed"] > 0.0, np.abs(closed), closed)
-        room = (INVISIBLE * length + np.maximum(gap, 0.0))[closed > 0.0] / closed[closed > 0.0]
-        scale = min(scale, 1.0 + float(room.min(initial=math.inf)))
-    if scale < max(1.0, 2.0 * INVISIBLE * length / largest):
+        closing = values["initial_gap"] - gap
+        closing = np.where(values["pressed"] > 0.0, np.abs(closing), closing)
+        # gap - (scale - 1) closing >= -INVISIBLE length, where the gap of pressed nodes is zero
+        limits = INVISIBLE * length + np.maximum(gap, 0.0)
+        added = limits[closing > 0.0] / closing[closing > 0.0]
+        scale = min(scale, 1.0 + float(added.min(initial=math.inf)))
+    if scale < max(1.0, 2.0 * INVISIBLE * length / largest):  # hardly visible
         return 1.0
     power = 10.0 ** math.floor(math.log10(scale))
     return max(digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= scale + 1e-9)
@@ -474,7 +476,8 @@ def with_normals(grid: Any) -> Any:
 def direction(surface: Any) -> tuple[Array, Array]:
     """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
 
-    This is z or y, or the longer side of a long surface. A closed surface is seen obliquely.
+    Upward is z or y; a surface that is more than 1.5 times as high as wide is turned by 90 degrees.
+    A closed surface is seen obliquely.
     """
     sized = surface.compute_cell_sizes(length=False, volume=False)
     mean = sized.cell_data["Normals"].T @ sized.cell_data["Area"]

@@ -411,7 +411,10 @@ def _normals_and_room(
 
 
 def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
-    """Return the tangents (n_tangential, d) in projections (n, d, d), and the node of each."""
+    """Return the tangents (n_tangential, d) along which friction may act, and the node of each.
+
+    They are in the range of `room` (n, d, d), the projections onto these directions at each node.
+    """
     along = tangents(normals)
     limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)

@@ -188,6 +188,7 @@ class TangentSystem(LinearSystem):
         """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
         values = self.prescribed_values()
         u = np.array(self.u.x.array[: len(self.prescribed)])
+        # prescribed values are eliminated: f is K (u_k - values) - R(u_k) + h at other unknowns
         u[self.prescribed] -= values
         owned = self.f.x.array[: len(u)]
         owned[:] = self.product(u).array - self.residual(np.zeros_like(u))

@@ -308,9 +308,8 @@ def name_groups(model: Any, name: str) -> None:
 def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -> None:
     """Give each body its size of cells [length], and half of it at faces near another body.
 
-    Curved faces have `CELLS_PER_TURN` cells round a turn, if these are smaller. Without a size it
-    follows from that of the body. The current model of Gmsh, with a name for error messages, has a
-    group for each body.
+    Without a size it is a sixth of the root of the body's volume or area. The current model of
+    Gmsh, with a name for error messages, has a group for each body.
     """
     dim = model.getDimension()
     bodies = {

@@ -161,8 +161,9 @@ LOST = 1e-6
 
 #: First value of the damping, which is the fraction of the diagonal of the majorant G'G + C that is
 #: added to the Hessian. After a whole step, the damping is multiplied by
-#: `RELAXATION`, since the next step may be longer where phi is flat; if rounding makes the matrix
-#: indefinite, the damping is multiplied by `MORE_DAMPING`.
+#: `RELAXATION`, since the next step may be longer where phi is flat; after a part of a step, it is
+#: divided by this part. If rounding makes the matrix indefinite, the damping is multiplied by
+#: `MORE_DAMPING`.
 DAMPING, RELAXATION, MORE_DAMPING = 1e-4, 1e-3, 10.0
 
 #: Relative accuracy of the part of a step that minimises phi. The kinks of phi may be at parts of
@@ -247,12 +248,12 @@ def balance(
         gradient = excess(z)
         # two rounding errors of the residual: from summing it, and from G z
         p = feasible_set.project(y + G @ z)
-        shifted = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
-        terms, of_shift = constraints.along_absolute(np.column_stack([np.abs(p), shifted])).T
-        rounding = agreed(ROUNDING * (terms + abs(C) @ np.abs(z) + term_sums))
-        of_shift = agreed(np.finfo(float).eps * of_shift)
+        shift_terms = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
+        terms, of_shift = constraints.along_absolute(np.column_stack([np.abs(p), shift_terms])).T
+        terms = agreed(terms + abs(C) @ np.abs(z) + term_sums)
+        rounding, of_shift = ROUNDING * terms, agreed(np.finfo(float).eps * of_shift)
         # once `unbounded` is proven, one more step makes the direction of z more accurate
-        if unbounded or ROUNDING * of_shift.max() > LOST * rounding.max():
+        if unbounded or of_shift.max() > LOST * terms.max():
             break
         if (np.abs(gradient) <= rounding + of_shift).all():
             return Balance(z, gradient, bool((np.abs(gradient) <= rounding).all()))

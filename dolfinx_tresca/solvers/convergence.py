@@ -51,16 +51,17 @@ class NaturalResidual:
         self.set_rho(self.rho)
 
     def set_rho(self, rho: float) -> None:
-        """Change the step length with which residuals are measured. Collective."""
+        """Change the step length of residuals, and their scale and rounding errors. Collective."""
         self.rho = rho
-        self.scale = self.norm_at(self.zero)
+        at_zero = self.norm_at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         of_constraints = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self._terms = norm(self._problem, self._problem.b_terms)
         size = self._terms + norm(self._problem, of_constraints)
+        # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), and rho is 1 / sigma_max
         self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
-        self.zero_is_solution = self.scale <= self.rounding
-        self.scale = max(0.0 if self.zero_is_solution else self.scale, self._counted)
+        self.zero_is_solution = at_zero <= self.rounding
+        self.scale = max(0.0 if self.zero_is_solution else at_zero, self._counted)
 
     def count(self, product: Array) -> None:
         """Increase the scale to the norm of a product A x (size,), if it is larger. Collective."""
@@ -244,12 +245,13 @@ class History:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
         The two numbers belong to the first criterion that is not met; if all criteria are met, they
-        belong to the last criterion. Unless the user set `accuracy=`, the first call with a small
-        bound sets `accuracy` from the error of the mesh. Collective.
+        belong to the last criterion. Unless the user set `accuracy=`, the first call with a bound
+        below `FORCING` sets `accuracy` from the error of the mesh. An iterate whose residual is
+        exactly zero is always good enough, since no step would change it. Collective.
 
         The natural residual is not divided by its scale.
         """
-        reached, wanted = 0.0, 1.0
+        reached, wanted = 0.0, 1.0  # without a criterion
         for reached, wanted in self.measures(point, error, residual):
             if not reached <= wanted:
                 return reached, wanted, residual == 0.0

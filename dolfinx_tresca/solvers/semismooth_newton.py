@@ -144,7 +144,11 @@ class SemismoothNewton:
         return settled + change - point.x, change_c
 
     def equations(self, point: NewtonPoint) -> tuple[Array, NodalMaps, Array]:
-        """Return the multipliers from which a step begins, its maps, and its right-hand side."""
+        """Return the multipliers on the face, where a step begins, its `NodalMaps`, and its r.
+
+        This is minus the gradient, less the present slip along the radii of discs, so that H of
+        `NodalMaps.on_face` multiplies the change of slip.
+        """
         x, r = point.x, point.r
         target = x - self.rho * r
         admissible = self.problem.admissible.at_point(x, r, target)
