@@ -57,8 +57,8 @@ HOLDING, FARTHER, SWEEPS, SETTLED = 1e-5, 30.0, 60, 1e-6
 
 #: How an iteration ends that finds no solution, and how many of fifty scenes may end so though
 #: there is one. With Coulomb's law two of a thousand do, whose bodies slide on soft springs; with
-#: given slip bounds scene 528 does at 0.9 of its limit load, and scenes 20 and 40, where bodies slide
-#: on soft springs by far more than they deform.
+#: given slip bounds scene 528 does at 0.9 of its limit load, and scenes 20 and 40, where bodies
+#: slide on soft springs by far more than they deform.
 MISSES, MISSED = (ContactStatus.NO_FIXED_POINT, ContactStatus.STAGNATED), 2
 
 #: How an iteration ends that finds a solution. Loads are random: some turn bodies on soft springs
