@@ -219,9 +219,9 @@ def balance(
         feasible_set: Lambda.
         start: (size,) y; the multipliers P(y + G z) are the nearest ones to y; None: zero.
         softness_factor: C is the softness S times this number, without the negative eigenvalues
-            that S has if loads turn with a body; None: C is the projector onto the positive
-            eigenvectors of S. All soft equations are then equally soft, and the result does not
-            depend on their softness.
+            that S has if a free body under pressure resists its rotation negatively; None: C is
+            the projector onto the positive eigenvectors of S. All soft equations are then equally
+            soft, and the result does not depend on their softness.
         reserve: relative increase of e; a positive value asks for a margin.
     """
     G, inner = constraints.columns, constraints.reductions.sparse_inner

@@ -9,11 +9,20 @@ import pytest
 from dense import clarabel_minimum, problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 
 from dolfinx_tresca import ContactStatus, SolverOptions
+from dolfinx_tresca.solvers.constraints import balance
 from dolfinx_tresca.solvers.convergence import History, NaturalResidual
 from dolfinx_tresca.solvers.paper import adaptive_precision
-from scenes.dense import METHODS, DenseProblem, brute_projection, random_problem, run
+from scenes.dense import (
+    METHODS,
+    DenseProblem,
+    brute_projection,
+    random_balanced_problem,
+    random_problem,
+    run,
+)
 from scenes.scene import EPS
 
 GUARANTEED = ("projected_newton", "gimssn")
@@ -122,3 +131,17 @@ def test_adaptive_precision_is_step_3_1(errors, r_tol, c_fact):
         history.residual_norms.append(error * scale)
         tol = min(r_tol * error / errors[0], c_fact * tol)
         assert precision() == pytest.approx(tol * errors[0] * scale, rel=100 * EPS)
+
+
+def test_motions_with_negative_stiffness_do_not_end_the_search_for_balanced_multipliers():
+    """A free body that is pressed may resist its rotation negatively, as rollers of a bearing do.
+
+    Where the equations are soft with a positive stiffness, the multipliers balance them.
+    """
+    problem = random_balanced_problem(3, 8, 2, 2.0, 0.0)
+    constraints = replace(problem.constraints, softness=csr_array(np.diag([-1e3, 1e-2])))
+    x = np.zeros(len(problem.b))
+    section = problem.section_at(x, x)
+    shift = balance(constraints, section, x, softness_factor=1.0).shift
+    balanced = constraints.along(section.project(constraints.columns @ shift))
+    assert np.allclose(balanced + [0.0, 1e-2 * shift[1]], constraints.values, rtol=1e-8)
