@@ -144,4 +144,5 @@ def test_motions_with_negative_stiffness_do_not_end_the_search_for_balanced_mult
     section = problem.section_at(x, x)
     shift = balance(constraints, section, x, softness_factor=1.0).shift
     balanced = constraints.along(section.project(constraints.columns @ shift))
-    assert np.allclose(balanced + [0.0, 1e-2 * shift[1]], constraints.values, rtol=1e-8)
+    balanced[1] += 1e-2 * shift[1]
+    assert np.allclose(balanced, constraints.values, rtol=1e-8)
