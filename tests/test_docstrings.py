@@ -88,3 +88,23 @@ def test_summaries_and_entries_can_be_read_alone():
         for line, text in dependent_texts(file.read_text(encoding="utf-8"))
     ]
     assert not found, "begin with a noun or a verb:\n" + "\n".join(found)
+
+
+def test_pages_of_rooms_name_what_exists():
+    package = Path(dolfinx_tresca.__file__).parent
+    files = list(package.rglob("*.py"))
+    names = {name for file in files for name in file.relative_to(package).with_suffix("").parts}
+    names.add("pvd")
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            for attribute in ("name", "arg", "attr", "id", "value"):
+                name = getattr(node, attribute, None)
+                names.update([name] if isinstance(name, str) else [])
+    missing = [
+        f"{page.parent.name}: {word}"
+        for page in package.rglob("__init__.py")
+        for words in re.findall(r"`([\w.]+)`", ast.get_docstring(ast.parse(page.read_text())) or "")
+        for word in words.removesuffix(".py").split(".")
+        if word and word not in names
+    ]
+    assert not missing, f"no such names in the package: {missing}"

@@ -15,7 +15,7 @@ same adjoint. A *tape* keeps accepted load steps, and carries gradients back thr
 | P, C | `LinearisedContact.face`, `_states` | projector on the face; curvature of the circles |
 | df, du_D; do, dg | `DataVector.load`; `.laws` | change of the data |
 | z, y | `DataVector.load`, `.laws` | adjoint: derivatives of a goal by load and offsets |
-| q_u, q_x | `on_u`, `on_x` (and `on_jump` by B u) | derivatives of a goal by the solution |
+| q_u, q_x | `by_u`, `by_x` (and `by_jump` by B u) | derivatives of a goal by the solution |
 
 Read first: `linearised.LinearisedContact` (the equations, with tangent and adjoint as one solve),
 `change_of_data.DataOfSolution` (what depends on controls), `goals.gradient`. The files are in the

@@ -1,9 +1,10 @@
 """The dual problem of one solve: minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4).
 
-The jump operator B takes displacements to jumps at contact nodes; A = B K^-1 B' takes tractions to
-jumps. This room makes B, A, b and Lambda from pairs, K, load and laws, and bounds errors; the room
-`solvers` finds the minimum. Rows of B are scaled by the roots of the nodes' areas, so that sums of
-multipliers are integrals; physical values are *stresses* and *lengths*.
+Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory. The jump operator B takes
+displacements to jumps at contact nodes; A = B K^-1 B' takes tractions to jumps. This room makes B,
+A, b and Lambda from pairs, K, load and laws, and bounds errors; the room `solvers` finds the
+minimum. Rows of B are scaled by the roots of the nodes' areas, so that sums of multipliers are
+integrals; physical values are *stresses* and *lengths*.
 
 - `JumpOperator`: B with its scales, gaps and rows of each pair; `displaced_jump` pairs displaced
   surfaces anew, and `Carry` takes multipliers from one B to the next.
@@ -22,16 +23,17 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 |---|---|---|
 | N, T, B | `JumpOperator.matrix` | normal, tangential, all jumps |
 | A | `ContactCompliance`, `compliance` | B K^-1 B' |
-| b, d, s | `DualProgram.b`, `JumpOperator.gap`, `SlipHistory.origin` | as in (38.4) |
+| b, d, s | `DualProgram.b`, `JumpOperator.gap`, `SlipHistory.origin` | b = B K^-1 f - (d; s) |
 | lambda, x | `multipliers`, `x` | pressures and tangential tractions, scaled |
-| r | `gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
+| r | `DualSolution.gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
 | Lambda, g | `DualProgram.admissible`, `FeasibleSet.radius` | feasible set, slip bounds |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
 | D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
 
 One solve, from the user's call to the table, with linear bodies. Once for all solves,
-`ContactProblem(...)` makes the `LinearSystem`, pairs the surfaces and makes B, finds the bodies
-that hardly anything holds (room `floating`), and factors K with springs that hold them; A follows.
+`ContactProblem(...)` makes the `LinearSystem`, pairs the surfaces (`pair_all_surfaces`) and makes B
+of their N and T (`assemble_B`), finds the bodies that hardly anything holds (room `floating`), and
+factors K with springs that hold them; A follows.
 
 1. `ContactProblem.solve` collects options and observer. `ContactSystem.begin_solve` pairs anew
    the surfaces whose obstacles have moved, and returns to the state in which the solve starts.
@@ -41,23 +43,24 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
    the multipliers of the last solve, or at zero if the residual is smaller there. If bounds depend
    on the pressure, a load step begins at the tractions of the accepted step: there may be several
    fixed points, and a process goes on with the nearest one.
-4. Each iteration has two parts. `solve_model` solves the contact problem with a model M in place of
-   A: `SemismoothNewton.solve` takes steps that need no product with A, several times if M contains
-   the near field, whose products improve M. The result is a `NewtonPoint`. Then `Iterate.move`
-   takes the step to this point, with a single product with A, which gives the true gradient and
-   improves M. No product is needed if A is known as a matrix: from the start if it has few rows, or
-   bodies are many and small, and later if the iteration is slow (`known_products` and
-   `complete_products` of `ContactCompliance`); and only then `interior_point` helps Newton's method
-   where it fails.
-5. `History.check_convergence` judges each iterate by its criteria. The last iterate becomes the
-   `DualSolution`. Without progress the status is STAGNATED or, if bounds depend on the pressure,
-   NO_FIXED_POINT, and `friction_deficit` looks for a motion that friction cannot hold.
+4. Each iteration has two parts. `ModelNewton.target` calls `solve_model`, which solves the contact
+   problem with a model M in place of A: `SemismoothNewton.solve` (`newton_solution`) takes steps
+   that need no product with A, several times if M contains the near field, whose products improve
+   M. The result is a `NewtonPoint`. Then `Iterate.move` takes the step to this point, with a single
+   product with A, which gives the true gradient and improves M. With a direct solver, no product is
+   needed if A is known as a matrix: from the start if it has few rows, or bodies are many and
+   small, and later if the iteration is slow (`known_products` and `complete_products` of
+   `ContactCompliance`); and only then `interior_point` helps Newton's method where it fails.
+5. `ModelNewton.check_progress` ends the iteration. By `History.check_convergence` the status is
+   CONVERGED, STOPPED or MAX_ITERATIONS; without progress it is STAGNATED or, if bounds depend on
+   the pressure, NO_FIXED_POINT, and `friction_deficit` looks for a motion that friction cannot
+   hold. The last iterate becomes the `DualSolution`.
 6. `evaluate` (room `solution`) begins with `DualProgram.compute_displacement`: K u = f - B'x with
    the last x. `DualProgram.in_equilibrium` adds the rigid displacements of floating bodies. All
    fields, forces, energies and bounds are computed from this u and x.
-7. `ContactSystem.solve` compares the bound of the error of these fields with the accuracy that was
-   asked for, and returns a `ContactSolution`. `ContactSystem.checked` changes its status if it has
-   left linear theory. `print(solution)` shows its rows.
+7. `status_of_fields` compares the bound of the error of these fields with the accuracy that was
+   asked for, and `ContactSystem.solve` returns a `ContactSolution`. `ContactSystem.checked` changes
+   its status if it has left linear theory. `print(solution)` shows its rows.
 
 For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
 bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6 and the first

@@ -14,7 +14,7 @@ of the multipliers with multipliers c of its own, the rigid displacements.
 |---|---|---|
 | R | `RigidBodyModes.basis` | rigid body modes |
 | K_p | `FixingSprings.added_to(K)` | K with springs |
-| U, c | `FloatingBodies.displacements`, `c` | responses to the springs, their coefficients |
+| U, c | `FloatingBodies.displacements`, `c` | responses to springs; coefficients, scaled |
 | G, S, e | `EqualityConstraints`, in `solvers` | equilibrium, softness, resultants of loads |
 
 Read first: `rigid_modes.weakly_resisted_modes`, `FixingSprings`, `equilibrium.Equilibrium`.

@@ -30,6 +30,6 @@ and gap - N u of it remains.
 All that is computed here follows from the positions of nodes: the only state is `Undeformed`, which
 `PairOperators` carries from one pairing to the next and which is never changed.
 
-Read first: `facets.Facets`, `pair_surfaces._pair`, `coupling.couple`,
+Read first: `pair_surfaces.pair_all_surfaces`, `facets.Facets`, `coupling.couple`,
 `mortar_integrals.MortarIntegrals`.
 """

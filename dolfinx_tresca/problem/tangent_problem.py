@@ -33,9 +33,9 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
-    Here R are internal minus external forces, and h is the part of the change of load that is not
-    applied yet. In a mixed space, u has other unknowns besides the displacement, and K is a saddle
-    point.
+    Here R are internal minus external forces, and h takes back the part of the change of load that
+    is not applied yet. In a mixed space, u has other unknowns besides the displacement, and K is a
+    saddle point.
 
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only, so the
     solution of a converged iteration does not depend on it. Its springs in the contact have forces

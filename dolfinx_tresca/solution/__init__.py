@@ -1,7 +1,8 @@
 """The results of a solve: displacement, fields on the surfaces, energies, forces, counts, warnings.
 
 - `evaluate` makes an `Evaluation` of multipliers: one pass over the nodes of all pairs, then one
-  over the surfaces. `ContactSolution` (`result.py`) adds how the solve went.
+  over the surfaces. `ContactSolution` (`result.py`) adds how the solve went; `status_of_fields`
+  compares the accuracy of the fields with what the user asked for.
 - `Surface`: the mesh of a secondary side; `SurfaceFields`: the Functions on it.
 - `Resultant`: force and moment, of contact on a pair or body, or of a support: `Supports`.
 - `scene_checks`: hints at likely mistakes, and the *departures* of a solution from linear theory.

@@ -2,12 +2,13 @@
 
 Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory.
 
-The room imports numpy and scipy only, and can be read and tested with dense matrices.
+Of other packages, the room imports numpy and scipy only: it can be read and tested with dense
+matrices.
 
 The problem is given by protocols (`problem.py`): `DualProblem` for b, Lambda and the gradients at
 multipliers, and `Compliance` for A, of which every product is counted. Arrays have the rows of one
-rank; `Reductions` adds them up. The page of the room `dual` follows one solve from the user's call
-through these algorithms to the table.
+rank; `Reductions` (`constraints.py`) adds them up. The page of the room `dual` follows one solve
+from the user's call through these algorithms to the table.
 
 - `ModelNewton`: the default method. A *model* M equals A where products are known; Newton's method
   solves the problem with M, and the step to its solution takes one product, which improves M.
@@ -33,8 +34,11 @@ through these algorithms to the table.
 | c | `c` | multipliers of the constraints |
 | G, S, e | `EqualityConstraints.columns`, `.softness`, `.values` | G'x + S c = e |
 | M | `model` | model of A |
-| y, z, H | `SecondOrderCones` | tractions and slips in second-order cones, y = H x + h |
+| D, W, Y | `ProductStore.near`, `.W`, `.Y` | near field; known products Y = A W |
 | P, rho | `FeasibleSet.project`, `NaturalResidual.rho` | projection onto Lambda, step length |
+| kappa, C | `FeasibleSet.circle_stiffness` | curvature of friction circles: norm of r / g |
+| T, R | `NodalMaps.test`, `.added` | equations of a Newton step, with slopes Q, H of slip bounds |
+| y, z, H | `SecondOrderCones` | tractions and slips in second-order cones, y = H x + h |
 
 Read first: `iteration.solve`, `iteration.ModelNewton.run`,
 `semismooth_newton.SemismoothNewton.solve`, `feasible_set.FeasibleSet`.
