@@ -52,7 +52,8 @@ class StepSolution:
         multipliers: (size,) solution of the dual problem.
         history: slip and dissipation of the accepted steps and of this solution.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
-        inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
+        load: the load of this solve [force], to detect later changes; so `laws`.
+        laws: `ContactSystem.law_values` of this solve.
         obstacle_moves: (pairs,) whether the pair's obstacle moves in this load step.
         motions: (pairs, 3, 4) places of obstacles in the solution, as `RigidMotion.matrix`.
     """
@@ -63,7 +64,8 @@ class StepSolution:
     fields: Evaluation
     history: SlipHistory
     curves: list[CurveAtNodes]
-    inputs: list[Array]
+    load: Array
+    laws: list[Array]
     obstacle_moves: Mask
     motions: Array
 

@@ -106,7 +106,11 @@ class ProcessTape:
 
     @contextmanager
     def adding_step(self) -> Iterator[None]:
-        """Record the last solution if the block accepts it. Collective."""
+        """Record the last solution as a step after a block in which the caller accepts it.
+
+        The solution is read before the block, which replaces the slip history from which it was
+        computed; it is added to the tape after the block, if this raises no error. Collective.
+        """
         contact = self._contact
         step = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
@@ -123,13 +127,14 @@ class ProcessTape:
         linearised = LinearisedContact(dual, step.multipliers, step.fields.u, contact.slip_bounds())
         yield
         self._history = contact.state.history
+        # arrays that have not changed since the last step are shared with it
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
         values = [
             former if former is not None and np.array_equal(former, present) else present.copy()
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
         moves = bool(step.obstacle_moves.any())
-        self._steps.append(_Recorded(linearised, moves, values, step.curves, step.inputs[1:]))
+        self._steps.append(_Recorded(linearised, moves, values, step.curves, step.laws))
 
     @collective(comm_of_self)
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
@@ -181,7 +186,11 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return for each step the derivatives by the controls in this step. Collective."""
+        """Return for each step the derivatives by the values of controls in it. Collective.
+
+        Steps are visited backwards: each gives its derivatives by the slip origin (`on_origin`) to
+        the step before. After the last step with a goal, derivatives are the number 0.
+        """
         contact = self._contact
         contact.check_not_destroyed()
         u = fem.Function(contact.linear.V)
@@ -206,7 +215,7 @@ class ProcessTape:
         return result
 
     def _check_laws(self, step: _Recorded, number: int) -> None:
-        """Check that the recorded inputs give the gaps and the friction of a step. Collective."""
+        """Check that gaps and friction have a step's values with its inputs set. Collective."""
         same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise InputError(
@@ -216,7 +225,11 @@ class ProcessTape:
             )
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles have not moved, and have derivatives if needed. Collective."""
+        """Check that obstacles have not moved, and that derivatives by their places are known.
+
+        These are unknown if an obstacle moves, or if recording began with slip, which would change
+        with the place. Collective.
+        """
         contact, steps = self._contact, self._steps
         if contact.obstacles.changed(contact.jump).any():
             raise ContactError(
@@ -235,7 +248,7 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
-        """Check goals, and return them as number of a step -> pairs (weight, goal)."""
+        """Return the user's goals as number of a step -> pairs (weight, goal), if all are right."""
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
             raise InputError(
