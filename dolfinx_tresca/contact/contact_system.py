@@ -152,12 +152,13 @@ class ContactSystem(PetscOwner):
         for pair, operators in zip(self.pairs, self.jump.pairs, strict=True):
             gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
             gaps.append(self.friction.values.values_at(gap, operators.nodes, name)[:, 0])
+        # the cut of a bolt may overlap by the motion of its sides along the cut's mean normal
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
             gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
 
     def update_gaps(self) -> None:
-        """Evaluate the gaps that users add to the distances, and update B's gap. Collective."""
+        """Add the present gaps of users, which must be finite, to B's distances. Collective."""
         gaps = self.added_gaps()
         with errors_on_all_ranks(self.comm):
             for pair, gap in zip(self.pairs, gaps, strict=True):
@@ -177,7 +178,7 @@ class ContactSystem(PetscOwner):
 
     @property
     def solved(self) -> StepSolution | None:
-        """The last solution; None if there was none since K or the pairing changed."""
+        """The last solution; None if K or the pairing has changed since, or nothing was solved."""
         solution = self._state.solution
         valid = solution is not None and solution.dual.compliance is self.compliance
         return solution if valid else None
@@ -200,7 +201,8 @@ class ContactSystem(PetscOwner):
         """Return to a former state; K and the user's obstacles stay as they are. Collective."""
         self.state = state
         if state.jump is not self.jump:
-            # the former B was destroyed; obstacles record where they are paired
+            # the former B was destroyed; it is made again with obstacles where they were, since
+            # `_replace_jump` records their distances
             present_motions = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
@@ -217,8 +219,9 @@ class ContactSystem(PetscOwner):
     ) -> None:
         """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
 
-        Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
-        stands for the present one. After a `PairingError` the surfaces stay as they were.
+        Pairs with finite sliding are paired at the displacement `configuration` [length], others at
+        `geometry`; None: where they are paired now. After a `PairingError`, which is raised again,
+        all surfaces are paired as they were.
         """
         state, moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
@@ -239,8 +242,9 @@ class ContactSystem(PetscOwner):
         """Record the motions of obstacles; return the mask (pairs,) of changed distances.
 
         Distances are compared with those of the last pairing. If they have changed, but not the
-        motion, the user has changed the obstacle without `move_to`. This is logged with friction,
-        since the slip does not contain it; Constants are there to be changed. Collective.
+        motion, the user has changed the obstacle without `move_to`. With friction, the log warns
+        that this is no part of the slip, unless the obstacle has Constants, which users may change.
+        Collective.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
         same_place = (self._state.motions == motions).all(axis=(1, 2))
@@ -257,14 +261,15 @@ class ContactSystem(PetscOwner):
         return changed
 
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
-        """Pair those surfaces again, in the configuration displaced by u, for which `anew` is True.
+        """Pair the surfaces of the pairs in the mask `anew` (pairs,), displaced by u. Collective.
 
-        With finite sliding, the slip of a node becomes its displacement since the last accepted
-        step, relative to its present partner and projected onto its tangent plane. Collective.
+        The mask gets all pairs of a group. With finite sliding, the slip of a node becomes its
+        displacement since the last accepted step, relative to its present partner and projected
+        onto its tangent plane; with small sliding nodes keep their slip.
         """
         if not anew.any():
             return
-        for pair in self.jump.pairs:  # pairs of a group are paired together
+        for pair in self.jump.pairs:
             numbers = list(pair.undeformed.group.numbers)
             anew[numbers] = anew[numbers].any()
         with timed("pairing", self.timings):
@@ -286,7 +291,10 @@ class ContactSystem(PetscOwner):
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:
-        """Return the slip history whose origin moves with the obstacles. Collective."""
+        """Return the slip history, with the obstacles' motion since the last step in its origin.
+
+        Collective.
+        """
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
         shift = np.where(self.jump.is_tangential, jumps, 0.0)
@@ -298,7 +306,7 @@ class ContactSystem(PetscOwner):
         return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
 
     def normal_forces_at_nodes(self) -> Array:
-        """Return normal contact forces (pairs, owned nodes), to be compared, 0 at open nodes."""
+        """Return normal forces times roots of areas (pairs, owned nodes), 0 at open nodes."""
         return self._at_nodes(self._state.multipliers / self.jump.stress_scale**2, 0.0)
 
     def _at_nodes(self, values: Array, default: float) -> Array:
@@ -344,7 +352,10 @@ class ContactSystem(PetscOwner):
         ]
 
     def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
-        """Return the present gaps, slip bounds and friction curves at contact nodes. Collective."""
+        """Return the present values at contact nodes of all gaps, slip bounds and friction curves.
+
+        The curves are given with their arguments. Collective.
+        """
         result = self.added_gaps()
         for bounds in self.slip_bounds():
             result += [bounds.constant, bounds.coefficient, bounds.limit]
@@ -393,12 +404,12 @@ class ContactSystem(PetscOwner):
         if status in CHECKED and not solution.sliding:
             state, tractions, v = self.state, solution.multipliers, solution.deformation
             motions = self.obstacles.motions if state.solution is None else state.solution.motions
-            departures = [
-                *(() if self.linear.is_tangent else scene_checks.motions_of_bodies(v, self.bodies)),
-                *scene_checks.motions_of_pairs(
-                    self.jump, self.pairs, solution.u, state.geometry, tractions, motions
-                ),
-            ]
+            departures: list[scene_checks.Departure] = []
+            if not self.linear.is_tangent:
+                departures += scene_checks.motions_of_bodies(v, self.bodies)
+            departures += scene_checks.motions_of_pairs(
+                self.jump, self.pairs, solution.u, state.geometry, tractions, motions
+            )
             reason = scene_checks.reason_outside(self.comm, departures, self._noticed)
             if reason:
                 if status is ContactStatus.CONVERGED:
@@ -460,7 +471,7 @@ class ContactSystem(PetscOwner):
         if dual_solution.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(dual_solution.deficit)
         motions = self.obstacles.motions
-        if tools is not None and dual.equilibrium is not None:
+        if tools is not None and dual.equilibrium is not None:  # forces have moved tools by c
             c = (dual.equilibrium.factors * dual_solution.c)[dual.of_tools]
             motions = tools.places(c, motions)
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
@@ -494,7 +505,11 @@ class ContactSystem(PetscOwner):
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Return the friction curves, checked at the points of a solution. Collective."""
+        """Return each friction curve with the pressures and slips of a solution. Collective.
+
+        Users' functions must have admissible values there. The log warns of friction that becomes
+        weaker so fast with the slip that the solution may not be unique.
+        """
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
         if not isinstance(cones, FrictionCones) or not cones.curves.of_discs:
@@ -510,11 +525,12 @@ class ContactSystem(PetscOwner):
     def _program(
         self, bounds: Sequence[NodalBounds], history: SlipHistory, tools: Tools | None
     ) -> DualProgram:
-        """Return the dual problem, if a solve can find its multipliers. Collective.
+        """Return the dual problem of a solve. Collective.
 
-        A `MechanismError` gets the motion as a Function. Of floating bodies, no coefficient of
-        friction may depend on the slip: for a block held by viscous friction alone, the solver
-        found no multipliers within minutes.
+        If nothing holds a body, a `MechanismError` has its motion as a Function, of length 1 or
+        less. Where contact holds a body, an `InputError` refuses coefficients of friction that
+        depend on the slip: for a block held by viscous friction alone, the solver found no
+        multipliers within minutes.
         """
         try:
             dual = DualProgram(self.compliance, self.guess, bounds, history, tools)

@@ -129,7 +129,10 @@ class StepState:
     def after_step(
         self, history: SlipHistory, displacement: fem.Function | None, **accepted: Any
     ) -> StepState:
-        """Return the state after a load step with the present obstacles; `accepted` has changes."""
+        """Return the state in which a step with this history and displacement is accepted.
+
+        Other attributes of the `AcceptedStep` are given as `accepted`, or are those of the present.
+        """
         present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
         step = replace(self.accepted, displacement=displacement, **(present | accepted))
         after = replace(self, history=history, accepted=step, pending=False)
@@ -143,7 +146,7 @@ class StepState:
         )
 
     def acceptable(self, unconverged: bool) -> StepSolution:
-        """Return the last solution if it can be accepted, even unconverged. Not collective."""
+        """Return the last solution, or raise an error if it cannot be accepted. Not collective."""
         if self.solution is None or not self.pending:
             raise ContactError(
                 "there is no solution to accept: call solve() after each change of the loads, and "
@@ -165,15 +168,17 @@ class StepState:
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which a solve begins now. Collective.
 
-        This is the last accepted step if the solution may depend on the start of its solve, unless
-        the user has changed the unknowns since.
+        If a solution may depend on where its solve starts (`depends_on_start`), the solve starts at
+        the last accepted step; but unknowns that the user has changed since stay. Otherwise, before
+        the first step, or if the step goes on in another configuration, it starts where the last
+        solve ended.
         """
         if not depends_on_start or not self.history.begun or self.continues:
             return replace(self, continues=False)
         end, unknowns = self.end, self.unknowns
         unchanged = end is not None and unknowns is not None and np.array_equal(end, unknowns)
-        is_trial = self.jump.comm.allreduce(unchanged, op=MPI.LAND)
-        unknowns = self.accepted.unknowns if is_trial else unknowns
+        if self.jump.comm.allreduce(unchanged, op=MPI.LAND):
+            unknowns = self.accepted.unknowns
         return replace(self, multipliers=self.accepted.multipliers, unknowns=unknowns)
 
     def with_tangents_of(self, jump: JumpOperator) -> StepState:
@@ -184,15 +189,15 @@ class StepState:
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
         """Return the state on the B of surfaces displaced by u [length]. Collective.
 
-        With `since_accepted` (pairs,), the slip of this step becomes the tangential jump, between
-        nodes and their present partners, since the last accepted step; else nodes keep their slip
-        so far.
+        Where `since_accepted` (pairs,) is True, slip counts from the tangential jump, between nodes
+        and their present partners, in the last accepted step. Elsewhere nodes keep the slip T u - s
+        of the former B, which determines the new origin s.
         """
         carry = Carry(self.jump, jump)
-        kept = carry.jumps(self.jump.of_displacement(u) - self.history.origin)
+        kept_slip = carry.jumps(self.jump.of_displacement(u) - self.history.origin)
         accepted, origin = self.accepted.displacement, np.zeros(len(jump.gap))
         rows = jump.discs.tangential
-        origin[rows] = (jump.of_displacement(u) - kept)[rows]
+        origin[rows] = (jump.of_displacement(u) - kept_slip)[rows]
         at_start = np.zeros_like(origin) if accepted is None else jump.of_displacement(accepted)
         for is_new, own in zip(since_accepted, jump.own_rows, strict=True):
             if is_new and not own.operators.bonded:
@@ -200,7 +205,10 @@ class StepState:
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
-        """Return the state with multipliers carried over to another B. Not collective."""
+        """Return the state on another B, with the multipliers of the same tractions.
+
+        There is no solution yet that could be accepted. Not collective.
+        """
         accepted = carry.multipliers(self.accepted.multipliers)
         return replace(
             self,
