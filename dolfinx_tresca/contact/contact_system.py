@@ -62,7 +62,6 @@ class ContactSystem(PetscOwner):
     carried over.
 
     Attributes:
-        secondary: the secondary side of each pair.
         stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
         slides_far: whether at least one pair has finite sliding.
         depends_on_start: whether the slip bound of a pair depends on the pressure, and a solution
@@ -123,7 +122,7 @@ class ContactSystem(PetscOwner):
     def _factored(self) -> ContactCompliance:
         """Assemble and factor K, and return A. Collective."""
         solver, springs = self.stiffness.factored(self.timings)
-        with timed(self.stiffness.method, self.timings):  # of a saddle point, a further matrix
+        with timed(self.stiffness.method, self.timings):  # a saddle point has a further matrix
             return ContactCompliance(self.jump, solver, springs)
 
     def destroy(self) -> None:
@@ -219,18 +218,15 @@ class ContactSystem(PetscOwner):
     ) -> None:
         """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
 
-        Pairs with finite sliding are paired at the displacement `configuration` [length], others at
-        `geometry`; None: where they are paired now. After a `PairingError`, which is raised again,
-        all surfaces are paired as they were.
+        Pairs with finite sliding are paired at `configuration` [length], others at `geometry`;
+        None: where they are paired now. After a `PairingError` all are paired as they were.
         """
         state, moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
+        pairings = (state.geometry, geometry, ~finite), (state.configuration, configuration, finite)
         try:
-            for before, u, pairs in (
-                (state.geometry, geometry, ~finite),
-                (state.configuration, configuration, finite),
-            ):
+            for before, u, pairs in pairings:
                 differs = not (u is before or np.array_equal(u.x.array, before.x.array))
                 self._pair_anew(u, pairs & (moves | self.comm.allreduce(differs, op=MPI.LOR)))
         except PairingError:
@@ -241,10 +237,9 @@ class ContactSystem(PetscOwner):
     def record_motions(self) -> Mask:
         """Record the motions of obstacles; return the mask (pairs,) of changed distances.
 
-        Distances are compared with those of the last pairing. If they have changed, but not the
-        motion, the user has changed the obstacle without `move_to`. With friction, the log warns
-        that this is no part of the slip, unless the obstacle has Constants, which users may change.
-        Collective.
+        If the distances since the last pairing have changed, but not the motion, the user has
+        changed the obstacle without `move_to`. With friction the log warns that this is no part of
+        the slip, unless the obstacle has Constants, which users may change. Collective.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
         same_place = (self._state.motions == motions).all(axis=(1, 2))
@@ -263,13 +258,12 @@ class ContactSystem(PetscOwner):
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
         """Pair the surfaces of the pairs in the mask `anew` (pairs,), displaced by u. Collective.
 
-        The mask gets all pairs of a group. With finite sliding, the slip of a node becomes its
-        displacement since the last accepted step, relative to its present partner and projected
-        onto its tangent plane; with small sliding nodes keep their slip.
+        With finite sliding, the slip of a node becomes its displacement since the last accepted
+        step, relative to its present partner and projected onto its tangent plane.
         """
         if not anew.any():
             return
-        for pair in self.jump.pairs:
+        for pair in self.jump.pairs:  # pairs of a group are paired together
             numbers = list(pair.undeformed.group.numbers)
             anew[numbers] = anew[numbers].any()
         with timed("pairing", self.timings):
@@ -291,10 +285,7 @@ class ContactSystem(PetscOwner):
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:
-        """Return the slip history, with the obstacles' motion since the last step in its origin.
-
-        Collective.
-        """
+        """Return the slip history with the obstacles' motion in its origin. Collective."""
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
         shift = np.where(self.jump.is_tangential, jumps, 0.0)
@@ -352,10 +343,7 @@ class ContactSystem(PetscOwner):
         ]
 
     def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
-        """Return the present values at contact nodes of all gaps, slip bounds and friction curves.
-
-        The curves are given with their arguments. Collective.
-        """
+        """Return the present gaps, slip bounds and friction curves at contact nodes. Collective."""
         result = self.added_gaps()
         for bounds in self.slip_bounds():
             result += [bounds.constant, bounds.coefficient, bounds.limit]
@@ -432,13 +420,9 @@ class ContactSystem(PetscOwner):
     ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
-        Args:
-            options: options of the contact algorithm.
-            units: names of units, for tables and pictures of the solution.
-            observe: function that is called before each iteration, on all ranks; True stops the
-                solve.
-            requested: options of the user, which decide whether the solve converged, if `options`
-                have another accuracy.
+        The function `observe` is called before each iteration, on all ranks; True stops the solve.
+        The options of the user, `requested`, decide whether the solve converged; None: `options`.
+        The `units` are for tables and pictures of the solution.
         """
         free_unused(self.comm)  # vectors of the solves before
         requested = requested or options
@@ -466,8 +450,8 @@ class ContactSystem(PetscOwner):
             evaluation, history = evaluate(dual, *sides, dual_solution, estimate=options.balanced)
         status = status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = self._checked_curves(dual, dual_solution)
-        load, laws = self.linear.f.x.array.copy(), self.law_values(curves)
-        sliding = ""
+        load, laws = self.linear.f.x.array.copy(), self.law_values(curves)  # for `check_inputs`
+        sliding = ""  # why a body slides without end
         if dual_solution.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(dual_solution.deficit)
         motions = self.obstacles.motions
@@ -477,17 +461,15 @@ class ContactSystem(PetscOwner):
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
+        # timings of the slowest rank
         timings = dict(zip(timings, largest_abs(self.comm, *timings.values()), strict=True))
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
         results = status, dual, multipliers, evaluation, history, curves, load, laws
         solution = StepSolution(*results, obstacle_moves, motions)
         self.state = replace(state, multipliers=multipliers, solution=solution, pending=True)
-        log(
-            self.comm,
-            "%s: %s after %d iterations, %d products, residual %.2e",
-            *(options.method, status.value, dual_solution.iterations, products),
-            dual_solution.residuals[-1],
-        )
+        text = "%s: %s after %d iterations, %d products, residual %.2e"
+        numbers = dual_solution.iterations, products, dual_solution.residuals[-1]
+        log(self.comm, text, options.method, status.value, *numbers)
         return ContactSolution(
             status=status,
             options=requested,
@@ -505,11 +487,7 @@ class ContactSystem(PetscOwner):
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Return each friction curve with the pressures and slips of a solution. Collective.
-
-        Users' functions must have admissible values there. The log warns of friction that becomes
-        weaker so fast with the slip that the solution may not be unique.
-        """
+        """Return each friction curve with a solution's pressures and slips, checked. Collective."""
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
         if not isinstance(cones, FrictionCones) or not cones.curves.of_discs:
@@ -525,12 +503,10 @@ class ContactSystem(PetscOwner):
     def _program(
         self, bounds: Sequence[NodalBounds], history: SlipHistory, tools: Tools | None
     ) -> DualProgram:
-        """Return the dual problem of a solve. Collective.
+        """Return the dual problem; a `MechanismError` gets its motion as a Function. Collective.
 
-        If nothing holds a body, a `MechanismError` has its motion as a Function, of length 1 or
-        less. Where contact holds a body, an `InputError` refuses coefficients of friction that
-        depend on the slip: for a block held by viscous friction alone, the solver found no
-        multipliers within minutes.
+        Where contact alone holds a body, no coefficient of friction may depend on the slip: for a
+        block held by viscous friction, the solver found no multipliers within minutes.
         """
         try:
             dual = DualProgram(self.compliance, self.guess, bounds, history, tools)

@@ -35,13 +35,12 @@ DEPENDENT = 1e-3
 #: part of the contact force is at nodes that are open in one of them.
 ALIKE = 0.1
 
-#: Least distance from 0 and from 1 of two estimated fractions. One is the part of the last step
-#: between two configurations that are not alike, whose residuals point at each other, at which the
-#: next one lies. The other is the ratio of a change of forces or gaps to the previous change, below
-#: 1 if the iteration converges. A change whose ratio is below both this number and the ratio of the
-#: residuals u - w is small by chance, and is replaced by the previous change times the smaller of
-#: the two: without this, 28 of 200 random scenes had more than ten times the requested error, with
-#: it 8.
+#: Least distance from 0 and from 1 of two estimated fractions. One is the part of a step between
+#: configurations that are not alike at which the next one lies. The other is the ratio of a change
+#: of forces or gaps to the previous change. If it is below both this number and the ratio of the
+#: residuals u - w, the change is small by chance, and the previous change times the smaller of the
+#: two takes its place: without this, 28 of 200 random scenes had more than ten times the requested
+#: error, with it 8.
 LEAST_FRACTION = 0.1
 
 #: Number of successive configurations in which |u - w| grows, as where bodies snap. With 1, folds
@@ -203,14 +202,12 @@ class FiniteSliding:
     def _part_of_last_motion(
         self, values: Array, before: fem.Function, accepted: fem.Function
     ) -> float:
-        """Return the change of prescribed values, as a multiple of the last step's. Collective.
-
-        This is the projection d'D / D'D of the present change d on the last one D, within limits.
-        """
+        """Return the change of prescribed values, as a multiple of the last step's. Collective."""
         prescribed = self._contact.linear.prescribed
         begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
         last_step, present_step = reached - begin, values - reached
         present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
+        # the present change is projected on the last one
         products = [float(last_step @ last_step), float(last_step @ present_step)]
         square, product = reduce_array(self._contact.comm, products)
         return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
@@ -239,6 +236,7 @@ class FiniteSliding:
         if not alike:
             return u
         accelerated = self._accelerated([*alike[-ANDERSON_DEPTH:], newest])
+        # does the accelerated step go against the residual, and the residual back to a former snap?
         followed = w if self._followed is None else self._followed
         against, back = self._products(residual, [w - accelerated, followed - w]) > 0.0
         if self._grows >= GROWING and against and not back:
@@ -284,12 +282,7 @@ def solve_with_finite_sliding(
     units: Units | None,
     observe: Callable[[Iteration], bool],
 ) -> ContactSolution:
-    """Solve in one configuration after the other until their changes are small. Collective.
-
-    This is for linear bodies with finite sliding; see `ContactSystem.solve` for the arguments. The
-    solution is that of the last configuration, with the cost of all; its text `sliding` tells why
-    configurations did not converge.
-    """
+    """Repeat `ContactSystem.solve` of linear bodies until configurations converge. Collective."""
     sliding = FiniteSliding(contact)
     sliding.pair_first_configuration()
     cost: dict[str, Any] = {}

@@ -71,10 +71,7 @@ class Obstacles:
         return result
 
     def bolts(self, jump: JumpOperator) -> dict[int, tuple[Preload, Array]]:
-        """Return number of pair -> preload, and mean normal (3,) of its cut. Collective.
-
-        A cut that is not flat raises an `InputError`.
-        """
+        """Return number of pair -> preload, and mean normal (3,) of its flat cut. Collective."""
         comm, bolts = self._V.mesh.comm, {}
         for number, (pair, operators) in enumerate(zip(self._pairs, jump.pairs, strict=True)):
             if not isinstance(pair.friction, Preload):
@@ -93,7 +90,7 @@ class Obstacles:
     def bolt_forces(
         self, jump: JumpOperator, resultants: Sequence[Resultant]
     ) -> dict[str, BoltForce]:
-        """Return name of pair -> force in its bolt, from the resultants of all pairs."""
+        """Return name of pair -> force in its bolt, from all pairs' resultants. Collective."""
         result = {}
         for number, (preload, axis) in self.bolts(jump).items():
             force = float(axis @ in_space(resultants[number].force))
@@ -137,10 +134,7 @@ class Obstacles:
     def _motions_of(
         self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator
     ) -> list[FreeMotion]:
-        """Return the free motions of an obstacle of the pairs with some numbers. Collective.
-
-        A rotation is scaled: its amplitude 1 moves the farthest contact node by a length of 1.
-        """
+        """Return the free motions of an obstacle of the pairs with some numbers. Collective."""
         names = ("y",) if jump.system.axisymmetric else FREEDOMS[self._V.mesh.geometry.dim]
         free = names if given.free is None else given.free
         if not set(free) <= set(names):
@@ -153,6 +147,7 @@ class Obstacles:
         load, result = np.append(given.force(), given.moment()), []
         for name in free:
             turns = name.startswith("r")
+            # a rotation with the amplitude 1 moves the farthest contact node by a length of 1
             direction = np.eye(6)[FREEDOMS[3].index(name)] / (arm if turns and arm else 1.0)
             label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
             force = float(load @ direction)
@@ -174,10 +169,7 @@ class Obstacles:
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
-        """Return the mask (pairs,) of distances or normals that differ from those at the pairing.
-
-        Collective.
-        """
+        """Return (pairs,) whether distances or normals differ from the last pairing. Collective."""
         limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of distance and normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
@@ -188,9 +180,9 @@ class Obstacles:
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rates (pairs,) at which distances change with a control. Collective.
 
-        A change of a normal counts times the extent of the mesh. The direction has the shape of the
-        control's value. None stands for a direction along which any obstacle that depends on the
-        control changes; if the control is a Function, an obstacle that reads it raises an error.
+        A change of a normal counts times the extent of the mesh. None stands for a direction along
+        which any obstacle that depends on the control changes. An obstacle that reads a Function
+        among the controls raises an error.
         """
         if direction is None:  # irrational ratios: changes by several values do not cancel
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))
@@ -223,12 +215,7 @@ class Obstacles:
         return result
 
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
-        """Return the jumps that obstacles cause as their `motions` change. Collective.
-
-        Returns:
-            jumps: (size,) rows of B times the displacement of obstacles at the nodes.
-            largest: the largest component of this displacement on this rank [length].
-        """
+        """Return B times the motion of obstacles (size,), and its largest component. Collective."""
         jump = state.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0
         for pair, start, end, own in zip(self._pairs, before, after, jump.own_rows, strict=True):

@@ -27,8 +27,7 @@ class AcceptedStep:
 
     Attributes:
         multipliers: (size,) multipliers to which solves return if their result may depend on them.
-        unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
-            space, that belong to these multipliers; None for linear bodies.
+        unknowns: `StepState.unknowns` that belong to these multipliers.
         displacement: displacement [length] from which slip counts with finite sliding; None: zero.
         motions: (pairs, 3, 4) positions of rigid obstacles, from which slip counts.
         configuration: displacement [length] at which pairs with finite sliding were paired; None:
@@ -52,8 +51,7 @@ class StepSolution:
         multipliers: (size,) solution of the dual problem.
         history: slip and dissipation of the accepted steps and of this solution.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
-        load: the load of this solve [force], to detect later changes; so `laws`.
-        laws: `ContactSystem.law_values` of this solve.
+        load, laws: load [force] and `ContactSystem.law_values` of this solve, to detect changes.
         obstacle_moves: (pairs,) whether the pair's obstacle moves in this load step.
         motions: (pairs, 3, 4) places of obstacles in the solution, as `RigidMotion.matrix`.
     """
@@ -129,10 +127,7 @@ class StepState:
     def after_step(
         self, history: SlipHistory, displacement: fem.Function | None, **accepted: Any
     ) -> StepState:
-        """Return the state in which a step with this history and displacement is accepted.
-
-        Other attributes of the `AcceptedStep` are given as `accepted`, or are those of the present.
-        """
+        """Return the state after an accepted step; `accepted` are attributes of `AcceptedStep`."""
         present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
         step = replace(self.accepted, displacement=displacement, **(present | accepted))
         after = replace(self, history=history, accepted=step, pending=False)
@@ -168,10 +163,9 @@ class StepState:
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which a solve begins now. Collective.
 
-        If a solution may depend on where its solve starts (`depends_on_start`), the solve starts at
-        the last accepted step; but unknowns that the user has changed since stay. Otherwise, before
-        the first step, or if the step goes on in another configuration, it starts where the last
-        solve ended.
+        If a solution depends on where its solve starts, this is the last accepted step; unknowns
+        that the user has changed since then stay. Otherwise, before the first step, or if a step
+        goes on in another configuration, it is where the last solve ended.
         """
         if not depends_on_start or not self.history.begun or self.continues:
             return replace(self, continues=False)
@@ -205,10 +199,7 @@ class StepState:
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
-        """Return the state on another B, with the multipliers of the same tractions.
-
-        There is no solution yet that could be accepted. Not collective.
-        """
+        """Return the state on another B, with the same tractions and without a solution."""
         accepted = carry.multipliers(self.accepted.multipliers)
         return replace(
             self,

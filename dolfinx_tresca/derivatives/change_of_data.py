@@ -61,10 +61,7 @@ class NodalField(NamedTuple):
 
 
 def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
-    """Return each pair's gap and terms of its slip bound, with their effect on data. Collective.
-
-    Two bounds of orthotropic friction are left out: `check_controls` refuses their derivatives.
-    """
+    """Return each pair's gap and terms of its slip bound, with their effect on data. Collective."""
     jump, x = linearised.dual.jump, linearised.multipliers
     cones = linearised.dual.admissible.at_point(x, linearised.gradient)
     # an entry for each pair with a curve, in the order of the pairs
@@ -97,7 +94,7 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
             scalar = getattr(pair.friction.terms, term)
             if term == "coefficient" and pair.friction.terms.curve is not None:
                 scalar = partial(pressed_values, *next(curves))
-            if not isinstance(scalar, tuple):
+            if not isinstance(scalar, tuple):  # `check_controls` refuses two bounds of a pair
                 by_bound = by_term[term][disc], (len(x) + disc, node)
                 fields.append((scalar, f"{words} of {pair}", by_bound))
         shape = len(x) + len(by_constant), len(node)
@@ -127,10 +124,7 @@ class JumpDifferences:
     origin: Array
 
     def rate(self, function: Callable[[JumpOperator, Array], Any]) -> Any:
-        """Return the directional derivative of a function of B and B u.
-
-        Collective if the function is.
-        """
+        """Return the directional derivative of a function of B and B u, collective if this is."""
         after, before = map(function, self.sides, self.jumps)
         return (after - before) / (2.0 * self.step)
 
@@ -145,11 +139,9 @@ def jump_differences(
     """Return the central differences of B in a direction of a Constant. Collective.
 
     The direction has the shape of the Constant's value. The result is None if no distance from an
-    obstacle and no normal of one changes along the direction.
-
-    If the Constant changes `in_all_steps` so far, the slip origin changes with it: its change is
-    that of the jumps in the previous step (`goals.gradient`). If it changes in the last step alone,
-    the slip origin stays the same vector at each node; its components change with the tangents.
+    obstacle and no normal changes. If the Constant changes `in_all_steps` so far, so does the slip
+    origin, with the jumps of the previous step (`goals.gradient`). If it changes in the last step
+    alone, the slip origin stays the same vector at each node, whose components change.
     """
     obstacles, jump = contact.obstacles, contact.jump
     rates = obstacles.rates(constant, direction, jump)
@@ -170,11 +162,8 @@ def jump_differences(
 
 
 def _kept_origin(contact: ContactSystem, moves: Mask) -> Array:
-    """Return the slip origin (size,) of the last solve, if it does not depend on obstacles.
-
-    It does for a pair whose obstacle moves with the control (`moves`), and was moved in the last
-    step: this raises an `InputError`. Collective.
-    """
+    """Return the slip origin (size,), if no obstacle in the mask `moves` was moved. Collective."""
+    # where move_to() has moved an obstacle in this step, the origin depends on its place
     solved = contact.solution_for("a derivative")
     origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
     for pair, moving, rows in zip(contact.pairs, in_step, contact.jump.own_rows, strict=True):
@@ -187,15 +176,12 @@ def _kept_origin(contact: ContactSystem, moves: Mask) -> Array:
 
 
 def _check_same_rows(contact: ContactSystem, sides: Sequence[JumpOperator]) -> None:
-    """Check that B of displaced obstacles has the nodes and tangents of the present B. Collective.
-
-    Otherwise differences of its rows would be differences between different rows.
-    """
+    """Check that B of displaced obstacles has the present nodes and tangents. Collective."""
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
         and np.array_equal(displaced.row_node, pair.row_node)
         and np.allclose(displaced.weights, pair.weights, rtol=1e-9)
-        and (np.abs(displaced.tangents - pair.tangents) <= 0.05).all()
+        and (np.abs(displaced.tangents - pair.tangents) <= 0.05).all()  # the same row of T
         for side in sides
         for displaced, pair in zip(side.pairs, contact.jump.pairs, strict=True)
     )
@@ -369,9 +355,8 @@ class DataOfSolution:
         """Return the derivative of a form by a control; 0 if it does not depend on it. Collective.
 
         Along a direction (values of a Constant, or a Function), this is a number for a form of rank
-        0, and a vector (owned degrees of freedom,) for a form of rank 1. Without a direction, the
-        form has the rank 0, the control is a Function, and the result has an entry for each of its
-        values that this rank owns.
+        0, and a vector (owned degrees of freedom,) for rank 1. Without a direction, it is a vector
+        of derivatives of a form of rank 0 by each value of a Function that this rank owns.
         """
         if control not in (*form.constants(), *form.coefficients()):
             return 0.0
@@ -399,11 +384,9 @@ class DataOfSolution:
 
 
 def inputs_of_problem(contact: ContactSystem) -> list[Any]:
-    """Return all Constants and Functions on which solutions depend, each once.
+    """Return all Constants and Functions on which solutions depend, except places of obstacles.
 
-    Those that users' functions of pressure or slip read are found in the functions' closures. What
-    places rigid obstacles is not among them. Values of Dirichlet conditions may be C++ objects of
-    DOLFINx; `values_of` accepts them, too.
+    Values of Dirichlet conditions may be C++ objects of DOLFINx, which `values_of` accepts, too.
     """
     inputs: list[Any] = []
     for form in contact.linear.ufl_forms:

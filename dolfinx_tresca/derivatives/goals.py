@@ -119,10 +119,9 @@ def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     """Return the mean (nodes,) of a patch's weight round each node of a pair. Collective.
 
     A multiplier is the mean of the pressure under its node's hat function. If the goal used the
-    values of the weight at the nodes, the weight would be linear between nodes, and the error of
-    this interpolation would exceed the discretisation error of elements of degree 2. With means by
-    the multiplier basis, the difference between the linear weight and the patch's weight has a zero
-    mean round each node. Rows of `PairOperators.secondary` compute these means.
+    weight's values at the nodes, the error of this linear interpolation would exceed the
+    discretisation error of elements of degree 2. With means by the multiplier basis, it has a zero
+    mean round each node.
     """
     index_map = V.dofmap.index_map
     matrix = as_petsc(index_map, 1, [pair.secondary], V.mesh.comm)
@@ -200,10 +199,8 @@ def goal_error(
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
-    The estimate is the sum over the cells of a(e, e') for the recovered errors e of the
-    displacement and e' of the adjoint, with an uncertainty: see `GoalError` and `DOUBT`. The
-    displacement u includes the rigid motions of bodies that have turned, and `energy_error` is that
-    of the iteration [energy^(1/2)].
+    The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
+    that of the iteration [energy^(1/2)]. The module and `GoalError` describe the estimate.
     """
     dual, jump, x = linearised.dual, linearised.dual.jump, linearised.multipliers
     products_before = dual.compliance.products
@@ -271,10 +268,8 @@ def gradient(
     tangential jump T u in this step. So derivatives of goals of later steps, `by_origin` (size,)
     with respect to the next s, are added to y at nodes that stick, and to q_u at other nodes.
 
-    Returns:
-        by_controls: for each control the derivatives with respect to its values; for a Function
-            those that this rank owns.
-        by_slip_origin: (size,) derivatives with respect to the s of this step.
+    The result has for each control the derivatives with respect to its values (for a Function,
+    those that this rank owns), and the derivatives (size,) with respect to the s of this step.
     """
     linearised, jump, u = data.linearised, data.linearised.dual.jump, data.linearised.u
     discs, sticks, inner = linearised.face.discs, linearised.face.stick, linearised.dual.inner
@@ -438,8 +433,7 @@ def tangent_of(
 ) -> ContactTangent:
     """Return the change of a solution along directions of controls. Collective.
 
-    This takes two solves with K and some products with A. Each node keeps its contact state; see
-    `linearised` for the equations.
+    Each node keeps its contact state; see `linearised` for the equations.
     """
     linearised, dual, jump = data.linearised, data.linearised.dual, data.linearised.dual.jump
     x, linear = linearised.multipliers, jump.system

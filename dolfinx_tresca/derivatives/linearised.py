@@ -93,10 +93,7 @@ class LinearisedContact:
 
     @cached_property
     def _states(self) -> tuple[Face, Array, csr_array]:
-        """The face with P, the diagonal (size,) of C, and I + Q (size, size). Collective.
-
-        A coefficient of friction that depends on the slip raises an `InputError`.
-        """
+        """The face with P, the diagonal (size,) of C, and I + Q (size, size). Collective."""
         dual, x, r = self.dual, self.multipliers, self.gradient
         cones, target = dual.admissible.at_point(x, r), dual.local_minimiser(x, r)
         section = cones.section(x)
@@ -196,7 +193,7 @@ class LinearisedContact:
         further steps have orthonormal images and the factors with the least residual.
         """
         dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
-        jump_at_start = displacement.solve_start()
+        jump_at_start = dual.jump.of_unknowns(displacement.v)
         store = dual.compliance.known_products()
         model = store.model()
         # norms of residuals and images weigh each row by the inverse of the model's diagonal
@@ -204,10 +201,10 @@ class LinearisedContact:
         root = np.sqrt(weight)
         residual = self._maps(model.diagonal, transpose).test @ (jump_at_start - offset)
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
-        terms = np.abs(jump_at_start) + np.abs(offset)
-        rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
+        rounding = RESIDUAL_ROUNDING * norm(dual, root * (np.abs(jump_at_start) + np.abs(offset)))
         accepted = max(max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * residual), rounding)
-        point = _Unknowns(np.zeros_like(residual), np.zeros_like(resultants), displacement.values)
+        v = np.zeros(0) if dual.compliance.exact else np.array(displacement.v.array)
+        point = _Unknowns(np.zeros_like(residual), np.zeros_like(resultants), v)
         steps: list[_Unknowns] = []
         images: Array = np.empty((len(residual), 0))
         missing, wanted_length = resultants, 0.0
@@ -241,7 +238,7 @@ class LinearisedContact:
                 images, steps = np.column_stack([images, image]), [*steps, step]
                 factor = float(dual.inner(image, weight * residual))
             point, residual = point.plus(factor, step), residual - factor * image
-            displacement.values = point.v
+            displacement.v.array[: len(point.v)] = point.v
             model = store.model()
         return point.y, point.c, norm(dual, root * residual) <= accepted
 
@@ -273,7 +270,10 @@ def _raise_unsolved(transpose: bool) -> NoReturn:
 
 
 class _Unknowns(NamedTuple):
-    """The unknowns y (size,) and c (k,), with `_FollowedDisplacement.values`; or a step of them."""
+    """Unknowns y (size,) and c (k,), with v (owned degrees of freedom,); or a step of them.
+
+    With a direct solver v is empty, since it is computed at the end.
+    """
 
     y: Array
     c: Array
@@ -296,35 +296,15 @@ class _FollowedDisplacement:
     """
 
     def __init__(self, dual: DualProgram, f: PETSc.Vec, v: PETSc.Vec) -> None:
-        """Begin with y = 0, before any solve. Not collective.
-
-        The right-hand side f has prescribed values in their rows; v is zero.
-        """
-        self._compliance, self._jump, self._f, self._v = dual.compliance, dual.jump, f, v
+        """Begin with y = 0: solve K v = f, which contains prescribed values. Collective."""
+        self._compliance, self._jump, self._f, self.v = dual.compliance, dual.jump, f, v
         self._error = 0.0
-
-    @property
-    def values(self) -> Array:
-        """The values of v with ghosts; empty with a direct solver: `improve` then gives v."""
-        return np.zeros(0) if self._compliance.exact else np.array(self._v.array)
-
-    @values.setter
-    def values(self, values: Array) -> None:
-        if not self._compliance.exact:
-            self._v.array = values
-
-    def solve_start(self) -> Array:
-        """Return B v (size,) for y = 0: one solve with K, unless f is zero. Collective."""
-        if self._f.norm() > 0.0:
+        if f.norm() > 0.0:
             self._compliance.products += 1
-            self._error = self.improve(None, self._v, STEP_ACCURACY, 0.0)
-        return self._jump.of_unknowns(self._v)
+            self._error = self.improve(None, v, STEP_ACCURACY, 0.0)
 
     def improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
-        """Solve K v = f - B'y from the given v, and return the error in |.|_K. Collective.
-
-        The iteration stops at the relative error `rtol`, or at the absolute one, `accuracy`.
-        """
+        """Solve K v = f - B'y from the given v, as `StiffnessSolver.improve` does. Collective."""
         force, prescribed = self._f, self._jump.system.prescribed
         if y is not None:
             force = self._jump.contact_force(y)
@@ -334,7 +314,7 @@ class _FollowedDisplacement:
         return error
 
     def product(self, y: Array, step: Array, length: float) -> tuple[Array, float, Array]:
-        """Return A s (size,) for a step s from y, its error, and the step of `values`. Collective.
+        """Return A s (size,) for a step s from y, its error, and the step of v. Collective.
 
         With v = K^-1 (f - B'y) it is A s = B v(y) - B v(y + s). The `length` is about sqrt(s'A s),
         and the error is in the norm sqrt(e'A^-1 e).
@@ -342,9 +322,9 @@ class _FollowedDisplacement:
         if self._compliance.exact:
             return self._compliance.apply(step), 0.0, np.zeros(0)
         self._compliance.products += 1
-        new_v, error_before = self._v.copy(), self._error
+        new_v, error_before = self.v.copy(), self._error
         self._error = self.improve(y + step, new_v, FULL_ACCURACY, STEP_ACCURACY * length)
-        product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(new_v)
-        change = new_v.array - self._v.array
+        product = self._jump.of_unknowns(self.v) - self._jump.of_unknowns(new_v)
+        change = new_v.array - self.v.array
         new_v.destroy()
         return product, float(np.hypot(self._error, error_before)), change

@@ -86,11 +86,8 @@ class ProcessTape:
     ) -> None:
         """Begin without steps. Not collective.
 
-        Args:
-            contact: the problem whose load steps are recorded.
-            solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
-                an error that names the purpose.
-            residual_at: function (u) -> internal minus external forces at the displacement u.
+        The function `solved_for` (purpose) returns the last solve of the problem, or raises an
+        error that names the purpose, and `residual_at` (u) returns internal minus external forces.
         """
         self._contact, self._solved_for, self._residual_at = contact, solved_for, residual_at
         self.comm = contact.comm
@@ -186,11 +183,7 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return for each step the derivatives by the values of controls in it. Collective.
-
-        Steps are visited backwards: each gives its derivatives by the slip origin (`on_origin`) to
-        the step before. After the last step with a goal, derivatives are the number 0.
-        """
+        """Return for each step the derivatives by the values of controls in it. Collective."""
         contact = self._contact
         contact.check_not_destroyed()
         u = fem.Function(contact.linear.V)
@@ -204,6 +197,7 @@ class ProcessTape:
                 "before obstacles are moved."
             )
         self._check_places(controls)
+        # a step gives its derivatives by the slip origin, `on_origin`, to the step before
         result: list[list[Any]] = [[0.0] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
         for number in reversed(range(max(goals_of_step, default=-1) + 1)):
@@ -225,11 +219,7 @@ class ProcessTape:
             )
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles have not moved, and that derivatives by their places are known.
-
-        These are unknown if an obstacle moves, or if recording began with slip, which would change
-        with the place. Collective.
-        """
+        """Check that obstacles are in place, and derivatives by their places known. Collective."""
         contact, steps = self._contact, self._steps
         if contact.obstacles.changed(contact.jump).any():
             raise ContactError(

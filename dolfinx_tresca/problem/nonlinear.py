@@ -62,7 +62,7 @@ class NonlinearContactSolution(ContactSolution):
 
 
 def _check_options(options: Any, newton: Any) -> None:
-    """Check the options."""
+    """Check the types of both options, and refuse accuracy='balanced'. Not collective."""
     check_options(options)
     if options.balanced:
         raise InputError(
@@ -212,10 +212,10 @@ class NonlinearContactProblem(ContactProcess):
         self._level = 0
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the last solve, repeated with the tangent at the solution. Collective.
+        """Return the last solve, with the tangent at its solution, for a purpose. Collective.
 
-        The last assembled tangent belongs to the previous iterate, so a further Newton step is
-        made.
+        The tangent that was assembled last belongs to the iterate before the solution, so one more
+        Newton step is made. If it is long, inputs have changed since, which is an error.
         """
         former, problem = super()._solved_for(purpose), self._contact
         if not problem.state.pending:
@@ -242,7 +242,6 @@ class NonlinearContactProblem(ContactProcess):
             problem.solve(self.options, self.units, lambda _: False)
             solved = problem.solution_for(purpose)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
-            # a large change shows that the inputs have changed since the solve
             inputs_differ = problem.is_large(change, self.u.x.array)
         if inputs_differ:
             raise inputs_changed(purpose)

@@ -429,12 +429,11 @@ class ContactProcess(PetscOwner, Tabulated):
         solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
         u, bounds = solved.fields.u, self._contact.slip_bounds()
-        linearised = LinearisedContact(solved.dual, solved.multipliers, u, bounds)
         if count := solved.fields.counts.undecided:
             text = "derivative: %d node(s) are about to change their state: it is one-sided"
             log(self.comm, text, count)
         data = DataOfSolution(self._contact, self._residual_at(u), u)
-        data.linearise(linearised)
+        data.linearise(LinearisedContact(solved.dual, solved.multipliers, u, bounds))
         data.check_controls(controls)
         return data
 

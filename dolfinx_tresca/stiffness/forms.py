@@ -150,7 +150,7 @@ def _is_part(V: Any, space: Any) -> bool:
 
 
 def component_index(space: Any, V: Any = None) -> int | None:
-    """Return the index of the displacement's sub-space, V or the only one that suits, or None."""
+    """Return the index of the sub-space of the displacement; None: the space is not mixed."""
     dim, element = space.mesh.geometry.dim, space.ufl_element()
     if _suits(element, dim):
         return None
@@ -286,11 +286,8 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
 
 
 def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
-    """Check that C of a saddle-point matrix (A, B'; B, -C) has no negative diagonal entry.
-
-    The pivots do not show this. The mask tells the free owned unknowns that are no displacement,
-    where K has -C. Collective.
-    """
+    """Check that C in (A, B'; B, -C) has no negative diagonal entry. Collective."""
+    # -C is in the rows of the mask of free owned unknowns; the pivots do not show its signs
     entries = K.getDiagonal().array[not_displacement]
     largest = K.comm.tompi4py().allreduce(float(entries.max(initial=-np.inf)), op=MPI.MAX)
     if largest > 0.0:
