@@ -13,9 +13,8 @@ are paired where the solution is; `solve_with_finite_sliding` and, for nonlinear
 A solve ends with a status in three steps: the iteration judges its residual, the error bound of
 the fields is compared with the accuracy that the user asked for, and `ContactSystem.checked` looks
 whether slips, and of linear bodies rotations and strains, are within the limits of their theory.
-`NonlinearContactProblem.solve` adds NO_EQUILIBRIUM. Newton's method for
-nonlinear bodies asks for more accuracy than the user does; only what the user asked decides about
-convergence.
+`NonlinearContactProblem.solve` adds NO_EQUILIBRIUM. Newton's method for nonlinear bodies asks for
+more accuracy than the user does; only what the user asked decides about convergence.
 
 Symbols: B is `jump`, A is `compliance` (a `ContactCompliance`), x (multipliers) is
 `StepState.multipliers`, the origin s of friction is `StepState.history.origin`.

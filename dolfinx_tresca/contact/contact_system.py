@@ -58,8 +58,7 @@ class ContactSystem(PetscOwner):
     """A discretised contact problem: K, B on the surfaces as they are paired now, and their solves.
 
     A problem uses one such system for all its solves. For nonlinear bodies K is the present
-    tangent. Where surfaces are paired again, B and A are replaced, and tractions and slip are
-    carried over.
+    tangent. Where surfaces are paired again, B and A change, and tractions and slip are kept.
 
     Attributes:
         stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
@@ -68,8 +67,7 @@ class ContactSystem(PetscOwner):
             maybe on where its solve starts.
         friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
             nodes of the displacement.
-        guess: displacements of earlier solves with the present B, for first guesses of iterative
-            solves.
+        guess: displacements of earlier solves with this B, for first guesses of iterative solves.
         unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
             solves start and end, owned by the user; None for linear bodies.
         frames_at_rest: frames of undeformed linear bodies, which move in configurations of finite
@@ -448,6 +446,7 @@ class ContactSystem(PetscOwner):
         with timed("fields", timings):
             sides = self.secondary, self.bodies
             evaluation, history = evaluate(dual, *sides, dual_solution, estimate=options.balanced)
+        # what the state keeps of this solve, for `accept`, later checks and derivatives
         status = status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = self._checked_curves(dual, dual_solution)
         load, laws = self.linear.f.x.array.copy(), self.law_values(curves)  # for `check_inputs`

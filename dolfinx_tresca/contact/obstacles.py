@@ -215,7 +215,11 @@ class Obstacles:
         return result
 
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
-        """Return B times the motion of obstacles (size,), and its largest component. Collective."""
+        """Return B times the displacement of obstacles (size,), and its largest component.
+
+        This is the displacement at the nodes as the obstacles' `motions` change from `before` to
+        `after`; its largest component [length] is that on this rank. Collective.
+        """
         jump = state.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0
         for pair, start, end, own in zip(self._pairs, before, after, jump.own_rows, strict=True):

@@ -144,8 +144,7 @@ class StepState:
         """Return the last solution, or raise an error if it cannot be accepted. Not collective."""
         if self.solution is None or not self.pending:
             raise ContactError(
-                "there is no solution to accept: call solve() after each change of the loads, and "
-                "then accept()."
+                "there is no solution to accept: after each change of loads, call solve() first."
             )
         status = self.solution.status
         if status is not ContactStatus.CONVERGED and not unconverged:

@@ -196,9 +196,8 @@ class DataVector(NamedTuple):
     """A change of the data of a solution, or the derivatives of an output by the data.
 
     Attributes:
-        load: (owned degrees of freedom,) change of the load [force], and of the prescribed values
-            [length] in their rows; or the adjoint displacement z, and derivatives by prescribed
-            values.
+        load: (owned degrees of freedom,) change of the load [force], and of prescribed values
+            [length] in their rows; or the adjoint z, and derivatives by prescribed values.
         laws: (size + n_discs,) change of (d; s), divided by `JumpOperator.length_scale`, and of the
             radii of the discs; or y, and derivatives by the radii.
         jump_differences: central differences of B, if the change of the data moves obstacles.
@@ -305,6 +304,7 @@ class DataOfSolution:
                     laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
+            # an obstacle that moves changes B: in the forces B'x, the offsets and the radii
             sides = jump_differences(contact, linearised, control, direction, self._in_all_steps)
             if sides is not None:
                 differences.append(sides)

@@ -142,8 +142,7 @@ class GoalError:
         error: estimate of the discretisation error of the value [same unit]: the absolute value of
             `signed_error` and, as its uncertainty, `DOUBT` times the sum of the squares of
             `cell_errors`. The estimate is not a bound. It is zero if the goal does not depend on
-            the displacement to first order, as for the mean pressure on a patch that nothing
-            touches.
+            the displacement to first order, as for the mean pressure on a patch without contact.
         signed_error: estimate of the exact value minus the value [same unit]: the sum over the
             cells of a(e, e') for the errors e of the displacement and e' of the adjoint.
         iteration_error: estimate, to first order, of the error of the value that the iteration's
@@ -374,8 +373,7 @@ class SurfaceTangent:
         pressure: change of the contact pressure [stress].
         gap: change of the gap [length], zero at pressed nodes.
         traction: change of the tangential traction [stress]; None without friction.
-        slip: change of the slip [length], zero where friction holds the surfaces; None without
-            friction.
+        slip: change of the slip [length], zero where surfaces stick; None without friction.
     """
 
     name: str

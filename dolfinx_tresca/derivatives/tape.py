@@ -153,8 +153,7 @@ class ProcessTape:
             Function, a Function on its space.
 
         Raises:
-            ContactError: the problem was destroyed, or K or the pairing has changed since steps
-                were recorded.
+            ContactError: the problem was destroyed, or K or the pairing changed since recording.
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """

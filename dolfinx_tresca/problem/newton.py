@@ -110,8 +110,7 @@ class NewtonStep:
             where u_0 is the displacement at the start of the solve.
         residual: |R(u_{k+1}) + B'lambda|_{K^-1}, see `NewtonOptions.accuracy`, divided by the same
             norm as `correction`; NaN if it cannot be computed.
-        contact_residual: natural residual of the contact problem, relative to its value without
-            contact.
+        contact_residual: natural residual of the contact problem, relative to that without contact.
         iterations: iterations of the contact solver.
         products: products with A in this step.
         pressed: number of nodes in contact, of all pairs and ranks.
@@ -140,8 +139,7 @@ class NewtonRecord:
 
     Attributes:
         steps: all steps, including the steps of parts of the load that failed.
-        fraction: part of the change of load to which the solution belongs: 1, or less after a
-            failure.
+        fraction: part of the change of load that was solved for: 1, or less after a failure.
         message: the failure, and advice; empty after a success.
         released: energy that is neither stored nor dissipated by friction between the displacement
             from which the solve started and the solution [energy]: the work of loads, prescribed
@@ -203,7 +201,7 @@ class EnergyBalance:
         self._motions = state.motions, problem.obstacles.motions
         self._start = problem.u.x.array.copy()
         known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
-        ends = known_ends or [np.zeros_like(self._start)]
+        ends = known_ends or [np.zeros_like(self._start)]  # zero before the first solve
         self._begins_at_end = any(np.array_equal(self._start, end) for end in ends)
         self._forces_at_start, self._work_at_start, _ = self._contact()
 

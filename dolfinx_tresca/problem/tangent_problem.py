@@ -33,8 +33,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
-    Here R are internal minus external forces, and h is the part of the change of load that is not
-    applied yet.
+    Here R are internal minus external forces, and h is the part of the load not yet applied.
 
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only, so the
     solution of a converged iteration does not depend on it. Its springs in the contact have forces
@@ -49,16 +48,14 @@ class TangentSystem(LinearSystem):
         has_material: whether a function of the user computes coefficients of the forms.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        added_forces: forces [force] at owned degrees of freedom that are added to the load, or
-            None.
+        added_forces: forces [force] at owned unknowns that are added to the load, or None.
         fraction: the continuation parameter t.
     """
 
     is_tangent = True
 
     cure_of_asymmetry = (
-        "Newton's method takes the symmetric part of the derivative with symmetrize=True, and then "
-        "converges linearly."
+        "Newton's method takes its symmetric part with symmetrize=True, and converges linearly."
     )
 
     def __init__(
@@ -115,8 +112,7 @@ class TangentSystem(LinearSystem):
             if not np.array_equal(self.u.x.array, u):
                 self.u.x.array[:] = u
                 raise InputError(
-                    "before_assembly() has changed u, which it must only read: Newton's method "
-                    "chooses u."
+                    "before_assembly() has changed u, which it must only read: the solve sets u."
                 )
         self.check_functions()
         self._updated_at = u
@@ -257,8 +253,7 @@ class TangentProblem(ContactSystem):
                     raise ContactError(
                         "the history of the material, loads or coefficients of F have changed "
                         "since the solution that is to be accepted: call solve() again, and "
-                        "accept() before you change them. Only on_accept may make a solution the "
-                        "history."
+                        "accept() before you change them. Only on_accept may change the history."
                     )
                 if self._on_accept is not None:
                     with errors_on_all_ranks(self.comm):

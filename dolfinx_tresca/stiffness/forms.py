@@ -88,6 +88,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     V is needed if neither a nor L is a form of UFL, or if several sub-spaces of a mixed space suit
     displacements: it is then the sub-space of the displacement.
     """
+    # types and arguments of the forms
     given = "a UFL form, {}, or a compiled form together with V="
     one_space = " Of several unknowns make one space, with basix.ufl.mixed_element."
     check_type("a", a, ufl.Form | fem.Form | PETSc.Mat, given.format("a PETSc.Mat"), one_space)
@@ -100,6 +101,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
             f"a needs a trial and a test function, L a test function; found {arguments[0]} and "
             f"{arguments[1]} arguments.{one_space}"
         )
+    # the space of the arguments: that of UFL forms, or V
     forms = [form for form in (a, L) if isinstance(form, ufl.Form)]
     if V is None and not forms:
         raise InputError(
@@ -112,6 +114,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         raise InputError(
             "the arguments of a and L are from different function spaces, or not from V."
         )
+    # numbers of type float64, cells, and conditions
     mesh = space.mesh
     fields = [field for form in forms for field in (*form.coefficients(), *form.constants())]
     for name, typed in (("the mesh", mesh.geometry.x), *zip(map(str, fields), fields, strict=True)):

@@ -91,8 +91,8 @@ class LinearSystem(PetscOwner):
         self._L = forms.compiled("L", L, self.V.mesh, entity_maps)
         self._is_matrix = isinstance(self._a, PETSc.Mat)
         self.K = PETSc.Mat() if self._is_matrix else dolfinx.fem.petsc.create_matrix(self._a)
-        self._columns: Any = None
-        self._coupled = True
+        self._columns: Any = None  # prescribed columns of K before the elimination
+        self._coupled = True  # whether they have entries off the diagonal
         self._coefficients: list[npt.NDArray[Any]] = []
         self.f = fem.Function(self.space, name="f")
         dofmap = self.space.dofmap
