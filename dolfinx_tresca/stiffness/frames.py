@@ -251,7 +251,8 @@ def _resisted(system: Any, bodies: Bodies) -> Mask:
     """Return whether K resists a rigid motion of each body (count,). Collective."""
     dim, free = system.V.mesh.geometry.dim, ~system.prescribed
     label, modes = np.repeat(bodies.label, dim)[free], bodies.rigid_modes(dim)
-    # another factor for each body, so that springs between bodies are seen, too
+    # a mode of all bodies at once, times another factor for each body, so that springs between
+    # bodies are seen, too
     factors = 1.0 + 0.618 * np.arange(bodies.count) % 1.0
     diagonal = system.K.getDiagonal()
     largest, force = np.zeros((2, bodies.count))
