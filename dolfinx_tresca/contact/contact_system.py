@@ -58,19 +58,16 @@ class ContactSystem(PetscOwner):
     """A discretised contact problem: K, B on the surfaces as they are paired now, and their solves.
 
     A problem uses one such system for all its solves. For nonlinear bodies K is the present
-    tangent. Where surfaces are paired again, B and A are replaced, and tractions and slip are
-    carried over.
+    tangent. Where surfaces are paired again, B and A change, and tractions and slip are kept.
 
     Attributes:
-        secondary: the secondary side of each pair.
         stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
         slides_far: whether at least one pair has finite sliding.
         depends_on_start: whether the slip bound of a pair depends on the pressure, and a solution
             maybe on where its solve starts.
         friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
             nodes of the displacement.
-        guess: displacements of earlier solves with the present B, for first guesses of iterative
-            solves.
+        guess: displacements of earlier solves with this B, for first guesses of iterative solves.
         unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
             solves start and end, owned by the user; None for linear bodies.
         frames_at_rest: frames of undeformed linear bodies, which move in configurations of finite
@@ -123,7 +120,7 @@ class ContactSystem(PetscOwner):
     def _factored(self) -> ContactCompliance:
         """Assemble and factor K, and return A. Collective."""
         solver, springs = self.stiffness.factored(self.timings)
-        with timed(self.stiffness.method, self.timings):  # of a saddle point, a further matrix
+        with timed(self.stiffness.method, self.timings):  # a saddle point has a further matrix
             return ContactCompliance(self.jump, solver, springs)
 
     def destroy(self) -> None:
@@ -152,12 +149,13 @@ class ContactSystem(PetscOwner):
         for pair, operators in zip(self.pairs, self.jump.pairs, strict=True):
             gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
             gaps.append(self.friction.values.values_at(gap, operators.nodes, name)[:, 0])
+        # the cut of a bolt may overlap by the motion of its sides along the cut's mean normal
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
             gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
 
     def update_gaps(self) -> None:
-        """Evaluate the gaps that users add to the distances, and update B's gap. Collective."""
+        """Add the present gaps of users, which must be finite, to B's distances. Collective."""
         gaps = self.added_gaps()
         with errors_on_all_ranks(self.comm):
             for pair, gap in zip(self.pairs, gaps, strict=True):
@@ -177,7 +175,7 @@ class ContactSystem(PetscOwner):
 
     @property
     def solved(self) -> StepSolution | None:
-        """The last solution; None if there was none since K or the pairing changed."""
+        """The last solution; None if K or the pairing has changed since, or nothing was solved."""
         solution = self._state.solution
         valid = solution is not None and solution.dual.compliance is self.compliance
         return solution if valid else None
@@ -200,7 +198,8 @@ class ContactSystem(PetscOwner):
         """Return to a former state; K and the user's obstacles stay as they are. Collective."""
         self.state = state
         if state.jump is not self.jump:
-            # the former B was destroyed; obstacles record where they are paired
+            # the former B was destroyed; it is made again with obstacles where they were, since
+            # `_replace_jump` records their distances
             present_motions = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
@@ -217,17 +216,15 @@ class ContactSystem(PetscOwner):
     ) -> None:
         """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
 
-        Pairs with finite sliding are paired at `configuration` [length], others at `geometry`; None
-        stands for the present one. After a `PairingError` the surfaces stay as they were.
+        Pairs with finite sliding are paired at `configuration` [length], others at `geometry`;
+        None: where they are paired now. After a `PairingError` all are paired as they were.
         """
         state, moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
+        pairings = (state.geometry, geometry, ~finite), (state.configuration, configuration, finite)
         try:
-            for before, u, pairs in (
-                (state.geometry, geometry, ~finite),
-                (state.configuration, configuration, finite),
-            ):
+            for before, u, pairs in pairings:
                 differs = not (u is before or np.array_equal(u.x.array, before.x.array))
                 self._pair_anew(u, pairs & (moves | self.comm.allreduce(differs, op=MPI.LOR)))
         except PairingError:
@@ -238,9 +235,9 @@ class ContactSystem(PetscOwner):
     def record_motions(self) -> Mask:
         """Record the motions of obstacles; return the mask (pairs,) of changed distances.
 
-        Distances are compared with those of the last pairing. If they have changed, but not the
-        motion, the user has changed the obstacle without `move_to`. This is logged with friction,
-        since the slip does not contain it; Constants are there to be changed. Collective.
+        If the distances since the last pairing have changed, but not the motion, the user has
+        changed the obstacle without `move_to`. With friction the log warns that this is no part of
+        the slip, unless the obstacle has Constants, which users may change. Collective.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
         same_place = (self._state.motions == motions).all(axis=(1, 2))
@@ -257,10 +254,10 @@ class ContactSystem(PetscOwner):
         return changed
 
     def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
-        """Pair those surfaces again, in the configuration displaced by u, for which `anew` is True.
+        """Pair the surfaces of the pairs in the mask `anew` (pairs,), displaced by u. Collective.
 
         With finite sliding, the slip of a node becomes its displacement since the last accepted
-        step, relative to its present partner and projected onto its tangent plane. Collective.
+        step, relative to its present partner and projected onto its tangent plane.
         """
         if not anew.any():
             return
@@ -286,7 +283,7 @@ class ContactSystem(PetscOwner):
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:
-        """Return the slip history whose origin moves with the obstacles. Collective."""
+        """Return the slip history with the obstacles' motion in its origin. Collective."""
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
         shift = np.where(self.jump.is_tangential, jumps, 0.0)
@@ -298,7 +295,7 @@ class ContactSystem(PetscOwner):
         return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
 
     def normal_forces_at_nodes(self) -> Array:
-        """Return normal contact forces (pairs, owned nodes), to be compared, 0 at open nodes."""
+        """Return normal forces times roots of areas (pairs, owned nodes), 0 at open nodes."""
         return self._at_nodes(self._state.multipliers / self.jump.stress_scale**2, 0.0)
 
     def _at_nodes(self, values: Array, default: float) -> Array:
@@ -364,8 +361,8 @@ class ContactSystem(PetscOwner):
                 f"{purpose} needs a solution, and the last solve ended with {solved.status.name}."
             )
         self.linear.assemble_load()
-        present_inputs = [self.linear.f.x.array, *self.law_values(solved.curves)]
-        same = all(map(np.array_equal, present_inputs, solved.inputs))
+        same = all(map(np.array_equal, self.law_values(solved.curves), solved.laws))
+        same &= np.array_equal(self.linear.f.x.array, solved.load)
         same &= not self.obstacles.changed(self.jump).any()
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise inputs_changed(purpose)
@@ -393,12 +390,12 @@ class ContactSystem(PetscOwner):
         if status in CHECKED and not solution.sliding:
             state, tractions, v = self.state, solution.multipliers, solution.deformation
             motions = self.obstacles.motions if state.solution is None else state.solution.motions
-            departures = [
-                *(() if self.linear.is_tangent else scene_checks.motions_of_bodies(v, self.bodies)),
-                *scene_checks.motions_of_pairs(
-                    self.jump, self.pairs, solution.u, state.geometry, tractions, motions
-                ),
-            ]
+            departures: list[scene_checks.Departure] = []
+            if not self.linear.is_tangent:
+                departures += scene_checks.motions_of_bodies(v, self.bodies)
+            departures += scene_checks.motions_of_pairs(
+                self.jump, self.pairs, solution.u, state.geometry, tractions, motions
+            )
             reason = scene_checks.reason_outside(self.comm, departures, self._noticed)
             if reason:
                 if status is ContactStatus.CONVERGED:
@@ -421,13 +418,9 @@ class ContactSystem(PetscOwner):
     ) -> ContactSolution:
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
-        Args:
-            options: options of the contact algorithm.
-            units: names of units, for tables and pictures of the solution.
-            observe: function that is called before each iteration, on all ranks; True stops the
-                solve.
-            requested: options of the user, which decide whether the solve converged, if `options`
-                have another accuracy.
+        The function `observe` is called before each iteration, on all ranks; True stops the solve.
+        The options of the user, `requested`, decide whether the solve converged; None: `options`.
+        The `units` are for tables and pictures of the solution.
         """
         free_unused(self.comm)  # vectors of the solves before
         requested = requested or options
@@ -453,30 +446,29 @@ class ContactSystem(PetscOwner):
         with timed("fields", timings):
             sides = self.secondary, self.bodies
             evaluation, history = evaluate(dual, *sides, dual_solution, estimate=options.balanced)
+        # what the state keeps of this solve, for `accept`, later checks and derivatives
         status = status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = self._checked_curves(dual, dual_solution)
-        inputs = [self.linear.f.x.array.copy(), *self.law_values(curves)]
-        sliding = ""
+        load, laws = self.linear.f.x.array.copy(), self.law_values(curves)  # for `check_inputs`
+        sliding = ""  # why a body slides without end
         if dual_solution.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(dual_solution.deficit)
         motions = self.obstacles.motions
-        if tools is not None and dual.equilibrium is not None:
+        if tools is not None and dual.equilibrium is not None:  # forces have moved tools by c
             c = (dual.equilibrium.factors * dual_solution.c)[dual.of_tools]
             motions = tools.places(c, motions)
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
+        # timings of the slowest rank
         timings = dict(zip(timings, largest_abs(self.comm, *timings.values()), strict=True))
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
-        results = status, dual, multipliers, evaluation, history, curves, inputs
+        results = status, dual, multipliers, evaluation, history, curves, load, laws
         solution = StepSolution(*results, obstacle_moves, motions)
         self.state = replace(state, multipliers=multipliers, solution=solution, pending=True)
-        log(
-            self.comm,
-            "%s: %s after %d iterations, %d products, residual %.2e",
-            *(options.method, status.value, dual_solution.iterations, products),
-            dual_solution.residuals[-1],
-        )
+        text = "%s: %s after %d iterations, %d products, residual %.2e"
+        numbers = dual_solution.iterations, products, dual_solution.residuals[-1]
+        log(self.comm, text, options.method, status.value, *numbers)
         return ContactSolution(
             status=status,
             options=requested,
@@ -494,7 +486,7 @@ class ContactSystem(PetscOwner):
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Return the friction curves, checked at the points of a solution. Collective."""
+        """Return each friction curve with a solution's pressures and slips, checked. Collective."""
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
         if not isinstance(cones, FrictionCones) or not cones.curves.of_discs:
@@ -510,11 +502,10 @@ class ContactSystem(PetscOwner):
     def _program(
         self, bounds: Sequence[NodalBounds], history: SlipHistory, tools: Tools | None
     ) -> DualProgram:
-        """Return the dual problem, if a solve can find its multipliers. Collective.
+        """Return the dual problem; a `MechanismError` gets its motion as a Function. Collective.
 
-        A `MechanismError` gets the motion as a Function. Of floating bodies, no coefficient of
-        friction may depend on the slip: for a block held by viscous friction alone, the solver
-        found no multipliers within minutes.
+        Where contact alone holds a body, no coefficient of friction may depend on the slip: for a
+        block held by viscous friction, the solver found no multipliers within minutes.
         """
         try:
             dual = DualProgram(self.compliance, self.guess, bounds, history, tools)

@@ -35,13 +35,12 @@ DEPENDENT = 1e-3
 #: part of the contact force is at nodes that are open in one of them.
 ALIKE = 0.1
 
-#: Least distance from 0 and from 1 of two estimated fractions. One is the part of the last step
-#: between two configurations that are not alike, whose residuals point at each other, at which the
-#: next one lies. The other is the ratio of a change of forces or gaps to the previous change, below
-#: 1 if the iteration converges. A change whose ratio is below both this number and the ratio of the
-#: residuals u - w is small by chance, and is replaced by the previous change times the smaller of
-#: the two: without this, 28 of 200 random scenes had more than ten times the requested error, with
-#: it 8.
+#: Least distance from 0 and from 1 of two estimated fractions. One is the part of a step between
+#: configurations that are not alike at which the next one lies. The other is the ratio of a change
+#: of forces or gaps to the previous change. If it is below both this number and the ratio of the
+#: residuals u - w, the change is small by chance, and the previous change times the smaller of the
+#: two takes its place: without this, 28 of 200 random scenes had more than ten times the requested
+#: error, with it 8.
 LEAST_FRACTION = 0.1
 
 #: Number of successive configurations in which |u - w| grows, as where bodies snap. With 1, folds
@@ -58,7 +57,6 @@ MOST_CONTINUED = 2.0
 
 #: Configurations after which a solve gives up; convergence takes 5 to 12.
 MAX_CONFIGURATIONS = 40
-
 
 #: Changes of gaps are divided by the displacement since the last accepted step, or by this fraction
 #: of the whole displacement if the fraction is larger. If a wheel turns on a body that rests, the
@@ -101,8 +99,7 @@ class FiniteSliding:
     configuration lies on the step. Where bodies snap, u(w) = w has an unstable solution, or none:
     residuals u - w grow, and the accelerated step would go against them. Then the step w <- u(w) is
     taken, until bodies reach another equilibrium, and earlier configurations are forgotten. If it
-    leads back to where such a step has led before, the equilibrium is stable, and bodies do not
-    snap.
+    leads back to where such a step led before, the equilibrium is stable, and bodies do not snap.
 
     Attributes:
         change: relative change of contact forces or of gaps, whichever is larger, between the last
@@ -122,65 +119,63 @@ class FiniteSliding:
         self.configurations, self.snaps = 1, False
 
     def observe(self, u: fem.Function) -> None:
-        """Compare forces and gaps with the previous configuration; estimate the error. Collective.
-
-        Changes within the rounding of positions count as zero, such as those of a body at rest.
-        """
-        contact, state = self._contact, self._contact.state
-        of_multipliers = contact.compliance.stress_rounding / contact.jump.stress_scale
-        rounding = contact.contact_forces(np.asarray(of_multipliers))
+        """Record the solution u in the present configuration; estimate its error. Collective."""
+        contact, w = self._contact, self._contact.state.configuration.x.array.copy()
         forces, gaps = contact.contact_forces(), contact.gaps_at_nodes(u)
+        (distance,) = self._products(u.x.array - w, [u.x.array - w])
         former = self._path[-1] if self._path else None
-        force_change = forces if former is None else forces - former.forces
-        w = state.configuration.x.array.copy()
-        residual = (u.x.array - w)[: len(contact.linear.prescribed_displacements)]
-        change_square, force_square, distance, rounding_square = reduce_array(
-            contact.comm,
-            [float(values @ values) for values in (force_change, forces, residual, rounding)],
-        )
         former_distance = math.inf if former is None else former.distance
         self._grows = self._grows + 1 if distance > former_distance else 0
         last_change, self.change = self.change, math.inf
         if former is not None:
-            gap_change = np.nan_to_num(gaps - former.gaps)
-            accepted_u = state.accepted.displacement
-            step = u.x.array - (0.0 if accepted_u is None else accepted_u.x.array)
-            largest, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
-            length = max(length, SMALL_STEP * displaced)
-            resolution = ROUNDING * (contact.obstacles.extent + displaced)
-            self.change = max(
-                _root_of_ratio(change_square, force_square, rounding_square),
-                _root_of_ratio(largest**2, length**2, resolution**2),
-            )
-        change, ratio = self.change, 0.5  # of successive changes, if none is known
+            self.change = self._relative_change(former, forces, gaps, u)
+        change, ratio = self.change, 0.5  # a guess, as long as no ratio of changes is known
         if math.isfinite(last_change) and last_change > 0.0:
+            ratio = change / last_change
             least = min(LEAST_FRACTION, _root_of_ratio(distance, former_distance))
-            change, ratio = max(change, least * last_change), change / last_change
+            change = max(change, least * last_change)
         ratio = _inside(ratio)
-        # the sum of all further changes, as in a geometric series
+        # the sum of all further changes, change (ratio + ratio^2 + ...)
         self.error = change * ratio / (1.0 - ratio)
         loads = contact.normal_forces_at_nodes()
         self._path.append(Configuration(w, u.x.array.copy(), loads, forces, gaps, distance))
-        log(
-            self._contact.comm,
-            "finite sliding: configuration %d, change of forces and gaps %.1e",
-            self.configurations,
-            self.change,
-        )
+        text = "finite sliding: configuration %d, change of forces and gaps %.1e"
+        log(contact.comm, text, self.configurations, self.change)
+
+    def _relative_change(
+        self, former: Configuration, forces: Array, gaps: Array, u: fem.Function
+    ) -> float:
+        """Return the larger relative change, of forces or of gaps, since a configuration.
+
+        Forces are compared in the Euclidean norm, gaps by their largest change (see `SMALL_STEP`).
+        Changes within the rounding of stresses and positions count as zero. Collective.
+        """
+        contact, accepted = self._contact, self._contact.state.accepted.displacement
+        multiplier_rounding = contact.compliance.stress_rounding / contact.jump.stress_scale
+        force_rounding = contact.contact_forces(np.asarray(multiplier_rounding))
+        force_vectors = forces - former.forces, forces, force_rounding
+        squares = reduce_array(contact.comm, [float(values @ values) for values in force_vectors])
+        gap_change = np.nan_to_num(gaps - former.gaps)  # 0 where a configuration has no multiplier
+        step = u.x.array - (0.0 if accepted is None else accepted.x.array)
+        largest, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
+        length = max(length, SMALL_STEP * displaced)
+        resolution = ROUNDING * (contact.obstacles.extent + displaced)
+        of_gaps = _root_of_ratio(largest**2, length**2, resolution**2)
+        return max(_root_of_ratio(*squares), of_gaps)
 
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
 
         Its displacement is the present one plus the response to the change of the prescribed
         values, with the present K and unchanged contact forces. Bodies with frames keep their
-        deformation. Those that are held turn with the prescribed values, and free ones go on as
-        they have moved in the last step, like the rollers of a bearing.
+        deformation v. Held bodies turn with the prescribed values, and free ones go on as they have
+        moved in the last step, like the rollers of a bearing.
         """
         contact, state = self._contact, self._contact.state
         linear, origin, at_rest = contact.linear, state.configuration, contact.frames_at_rest
-        frames, v = contact.jump.frames, origin  # v is the displacement within frames
+        frames, v = contact.jump.frames, origin
         if at_rest is not None:
-            linear.frames = None
+            linear.frames = None  # for prescribed values in space
             values, held = linear.prescribed_values(), origin.copy()
             accepted, before = state.accepted.displacement, state.accepted.before
             if accepted is not None and before is not None:
@@ -189,6 +184,7 @@ class FiniteSliding:
                     held = at_rest.continued(before, accepted, fraction)
             held.x.array[: len(linear.prescribed)][linear.prescribed] = values
             held.x.scatter_forward()
+            # the frames in which the response is computed, until B has them by a new pairing
             linear.frames = at_rest.moved_with(held)
             v = origin if frames is None else frames.deformation(origin)
         try:
@@ -204,11 +200,12 @@ class FiniteSliding:
     def _part_of_last_motion(
         self, values: Array, before: fem.Function, accepted: fem.Function
     ) -> float:
-        """Return the change of the prescribed values, relative to the last step's. Collective."""
+        """Return the change of prescribed values, as a multiple of the last step's. Collective."""
         prescribed = self._contact.linear.prescribed
         begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
         last_step, present_step = reached - begin, values - reached
         present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
+        # the present change is projected on the last one
         products = [float(last_step @ last_step), float(last_step @ present_step)]
         square, product = reduce_array(self._contact.comm, products)
         return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
@@ -221,31 +218,23 @@ class FiniteSliding:
         self.configurations += 1
 
     def _next(self) -> Array:
-        """Return the next displacement w by Anderson's acceleration, with ghosts. Collective."""
+        """Return the next displacement w, with ghosts; the class explains the cases. Collective."""
         *earlier, newest = self._path
         u, w, residual = newest.u, newest.w, newest.u - newest.w
         # the first u(w) is no approximation
         alike = [configuration for configuration in earlier[1:] if self._alike(configuration)]
         if len(earlier) > 1 and (not alike or alike[-1] is not earlier[-1]):
+            # the last step has crossed a kink: do the residuals u - w at its ends point at each
+            # other? A positive product with the step points on along it, a negative one back.
             before = earlier[-1]
-            # positive residuals point on along the step, negative ones back
             onwards, backwards = self._products(w - before.w, [before.u - before.w, residual])
             if onwards > 0.0 > backwards:
                 fraction = _inside(onwards / (onwards - backwards))
                 return np.asarray((1.0 - fraction) * before.u + fraction * u)
         if not alike:
             return u
-        path = [*alike[-ANDERSON_DEPTH:], newest]
-        residual_changes = np.array([b.u - b.w - (a.u - a.w) for a, b in pairwise(path)])
-        changes_of_u = np.array([b.u - a.u for a, b in pairwise(path)])
-        vectors = [*residual_changes, residual]
-        products = np.array([self._products(change, vectors) for change in residual_changes])
-        matrix, vector = products[:, :-1], products[:, -1]
-        lengths = np.sqrt(np.diag(matrix))
-        lengths[lengths == 0.0] = 1.0
-        scaled = matrix / np.outer(lengths, lengths)
-        weights = np.linalg.lstsq(scaled, vector / lengths, rcond=DEPENDENT)[0] / lengths
-        accelerated: Array = u - changes_of_u.T @ weights
+        accelerated = self._accelerated([*alike[-ANDERSON_DEPTH:], newest])
+        # does the accelerated step go against the residual, and the residual back to a former snap?
         followed = w if self._followed is None else self._followed
         against, back = self._products(residual, [w - accelerated, followed - w]) > 0.0
         if self._grows >= GROWING and against and not back:
@@ -253,8 +242,26 @@ class FiniteSliding:
             return u
         return accelerated
 
+    def _accelerated(self, path: list[Configuration]) -> Array:
+        """Return the next w by Anderson's acceleration from like configurations. Collective.
+
+        With the residual r = u - w of the last configuration, and the changes dr and du of r and u
+        between successive ones as columns, it is u - du a, where a minimises |r - dr a|: the normal
+        equations are dr'dr a = dr'r (see `DEPENDENT`).
+        """
+        newest, changes = path[-1], list(pairwise(path))
+        residual_changes = np.array([b.u - b.w - (a.u - a.w) for a, b in changes])
+        vectors = [*residual_changes, newest.u - newest.w]
+        products = np.array([self._products(change, vectors) for change in residual_changes])
+        matrix, right = products[:, :-1], products[:, -1]
+        lengths = np.sqrt(np.diag(matrix))
+        lengths[lengths == 0.0] = 1.0
+        scaled = matrix / np.outer(lengths, lengths)
+        factors = np.linalg.lstsq(scaled, right / lengths, rcond=DEPENDENT)[0] / lengths
+        return np.asarray(newest.u - np.array([b.u - a.u for a, b in changes]).T @ factors)
+
     def _alike(self, configuration: Configuration) -> bool:
-        """Return whether another configuration is like the last one; see `ALIKE`. Collective."""
+        """Return whether a configuration is like the last one; see `ALIKE`. Collective."""
         loads = self._path[-1].loads + configuration.loads
         changed = loads[(self._path[-1].loads > 0.0) != (configuration.loads > 0.0)]
         sums = [float(changed.sum()), float(loads.sum())]
@@ -273,7 +280,11 @@ def solve_with_finite_sliding(
     units: Units | None,
     observe: Callable[[Iteration], bool],
 ) -> ContactSolution:
-    """Solve as `ContactSystem.solve` does, for linear bodies with finite sliding. Collective."""
+    """Repeat `ContactSystem.solve` of linear bodies until configurations converge. Collective.
+
+    The result is the solution in the last configuration, with the iterations, products and seconds
+    of all; its text `sliding` says why configurations do not converge.
+    """
     sliding = FiniteSliding(contact)
     sliding.pair_first_configuration()
     cost: dict[str, Any] = {}
@@ -322,12 +333,12 @@ def add_cost(total: dict[str, Any], solution: ContactSolution) -> None:
 
 
 def _inside(fraction: float) -> float:
-    """Return the number nearest to a fraction whose distance from 0 and 1 is large enough."""
+    """Return a fraction, moved away from 0 and 1 to `LEAST_FRACTION` at least."""
     return min(max(fraction, LEAST_FRACTION), 1.0 - LEAST_FRACTION)
 
 
 def _root_of_ratio(square: float, reference: float, rounding: float = 0.0) -> float:
-    """Return sqrt(square / reference), or 0 if the square is at most that of rounding."""
+    """Return sqrt(square / reference), or 0 if the square is at most the square `rounding`."""
     if square <= rounding:
         return 0.0
     return math.sqrt(square / reference) if reference > 0.0 else math.inf

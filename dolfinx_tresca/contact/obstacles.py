@@ -71,7 +71,7 @@ class Obstacles:
         return result
 
     def bolts(self, jump: JumpOperator) -> dict[int, tuple[Preload, Array]]:
-        """Return number of pair -> preload, and mean normal (3,) of the cut. Collective."""
+        """Return number of pair -> preload, and mean normal (3,) of its flat cut. Collective."""
         comm, bolts = self._V.mesh.comm, {}
         for number, (pair, operators) in enumerate(zip(self._pairs, jump.pairs, strict=True)):
             if not isinstance(pair.friction, Preload):
@@ -90,7 +90,7 @@ class Obstacles:
     def bolt_forces(
         self, jump: JumpOperator, resultants: Sequence[Resultant]
     ) -> dict[str, BoltForce]:
-        """Return the force in each bolt, by the name of its pair, from all pairs' resultants."""
+        """Return name of pair -> force in its bolt, from all pairs' resultants. Collective."""
         result = {}
         for number, (preload, axis) in self.bolts(jump).items():
             force = float(axis @ in_space(resultants[number].force))
@@ -117,14 +117,13 @@ class Obstacles:
         for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
             if number in bolts:
                 preload, axis = bolts[number]
-                direction, point = np.append(axis, np.zeros(3)), np.zeros(3)
-                bolt = f"bolt {pair}", "overlap", [number], direction, point, preload.value
-                motions.append(FreeMotion(*bolt))
+                along, name, force = np.append(axis, np.zeros(3)), f"bolt {pair}", preload.value
+                motions.append(FreeMotion(name, "overlap", [number], along, np.zeros(3), force))
             elif obstacle is not None and obstacle.given_forces is not None:
                 if pair.sliding == "finite":
                     raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")
                 numbers = [k for k, primary in enumerate(self._obstacles) if primary is obstacle]
-                if number == numbers[0]:
+                if number == numbers[0]:  # an obstacle of several pairs moves once
                     motions += self._motions_of(obstacle, obstacle.given_forces, numbers, jump)
         if not motions:
             return None
@@ -135,7 +134,7 @@ class Obstacles:
     def _motions_of(
         self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator
     ) -> list[FreeMotion]:
-        """Return the free motions of an obstacle that belongs to some pairs. Collective."""
+        """Return the free motions of an obstacle of the pairs with some numbers. Collective."""
         names = ("y",) if jump.system.axisymmetric else FREEDOMS[self._V.mesh.geometry.dim]
         free = names if given.free is None else given.free
         if not set(free) <= set(names):
@@ -148,6 +147,7 @@ class Obstacles:
         load, result = np.append(given.force(), given.moment()), []
         for name in free:
             turns = name.startswith("r")
+            # a rotation with the amplitude 1 moves the farthest contact node by a length of 1
             direction = np.eye(6)[FREEDOMS[3].index(name)] / (arm if turns and arm else 1.0)
             label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
             force = float(load @ direction)
@@ -169,7 +169,7 @@ class Obstacles:
             ]
 
     def changed(self, jump: JumpOperator) -> Mask:
-        """Return (pairs,) whether distances or normals differ from the pairing. Collective."""
+        """Return (pairs,) whether distances or normals differ from the last pairing. Collective."""
         limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of distance and normal
         changed_on_rank = [
             int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
@@ -178,12 +178,13 @@ class Obstacles:
         return np.asarray(reduce_array(self._V.mesh.comm, np.array(changed_on_rank)) > 0)
 
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
-        """Return the largest rate of change (pairs,) of each pair's distances. Collective.
+        """Return the largest rates (pairs,) at which distances change with a control. Collective.
 
-        A change of a normal counts times the extent of the mesh. None as direction stands for one
-        along which any obstacle that depends on the control changes.
+        A change of a normal counts times the extent of the mesh. None stands for a direction along
+        which any obstacle that depends on the control changes. An obstacle that reads a Function
+        among the controls raises an error.
         """
-        if direction is None:  # no small whole numbers, along which a plane might not move
+        if direction is None:  # irrational ratios: changes by several values do not cancel
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))
         comm, scale = self._V.mesh.comm, np.append(1.0, np.full(3, self.extent))
         rates = central_differences(
@@ -199,7 +200,11 @@ class Obstacles:
         return np.array(largest_abs(comm, *np.split(rates[0], ends)))
 
     def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
-        """Return the displacement of the obstacle's points that are at the nodes displaced by u."""
+        """Return the displacement [length] of an obstacle's points that end at displaced nodes.
+
+        A point of the obstacle goes from M_0 X to M_1 X as its motion changes from `before`, M_0,
+        to `after`, M_1. With M_1 X = x at a node displaced by u, it moves by x - M_0 M_1^-1 x.
+        """
         dim = self._V.mesh.geometry.dim
         points = self._V.tabulate_dof_coordinates().T.copy()
         points[:dim] += u.x.array.reshape(-1, dim).T
@@ -210,7 +215,11 @@ class Obstacles:
         return result
 
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
-        """Return scaled jumps (size,) of `motions`, and the largest displacement. Collective."""
+        """Return B times the displacement of obstacles (size,), and its largest component.
+
+        This is the displacement at the nodes as the obstacles' `motions` change from `before` to
+        `after`; its largest component [length] is that on this rank. Collective.
+        """
         jump = state.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0
         for pair, start, end, own in zip(self._pairs, before, after, jump.own_rows, strict=True):

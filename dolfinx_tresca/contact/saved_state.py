@@ -57,7 +57,7 @@ def write_state(
         "displacement before": accepted.before,
         "accepted configuration": accepted.configuration,
     }
-    columns = {f"nodes/{PLACES}": places}
+    columns = {f"nodes/{PLACES}": places}  # "table/column" -> rows of this rank's nodes
     columns |= {
         f"nodes/{name}": owned_values(u) for name, u in displacements.items() if u is not None
     }
@@ -88,16 +88,12 @@ class SavedState:
     Attributes:
         step: the number that was saved.
         motions: (pairs, 3, 4) places of the obstacles at the accepted step.
-        configuration: displacement [length] at which pairs with finite sliding were paired.
-        geometry: displacement [length] at which the other pairs were paired.
+        configuration, geometry: the attributes of `StepState`.
         material: the saved Functions of the material's history.
     """
 
     def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
-        """Read a file for a problem in its present state. Collective.
-
-        The given Functions of the material are not changed: they have the spaces of the saved ones.
-        """
+        """Read a file for a problem in a state; `material` gives the spaces in it. Collective."""
         system, pairs = present.jump.system, len(present.jump.pairs)
         self._path, self._comm, self._system = path, system.comm, system
         unknowns = _functions_of_unknowns(present)
@@ -139,6 +135,7 @@ class SavedState:
 
     def _rows(self, table: str, places: Array) -> dict[str, Array]:
         """Return column -> values (n, k) of a table at the `surroundings` of nodes. Collective."""
+        # the first rank finds the rows of the nodes of all ranks, and sends each rank its own rows
         places_of_ranks = self._comm.gather(places)
         tables: list[dict[str, Array]] = [{} for _ in range(self._comm.size)]
         with errors_on_all_ranks(self._comm):
@@ -195,7 +192,7 @@ class SavedState:
         unknowns = present.unknowns
         if self._unknowns:
             w = self._unknowns[0]
-            if self._system.component is not None:
+            if self._system.component is not None:  # the parts of a mixed space were saved
                 w = fem.Function(self._system.space)
                 for i, values in enumerate(self._unknowns):
                     w.sub(i).interpolate(values)
@@ -252,6 +249,7 @@ def _laws(jump: JumpOperator) -> list[str]:
 
 def _contact_places(pair: PairOperators, places: Array) -> Array:
     """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch."""
+    # a node has an entry for each of its patches, one after the other: start is that of its first
     _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
     return np.column_stack([places[pair.nodes], np.arange(len(pair.nodes)) - start[row]])
 

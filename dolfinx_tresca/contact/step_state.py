@@ -27,8 +27,7 @@ class AcceptedStep:
 
     Attributes:
         multipliers: (size,) multipliers to which solves return if their result may depend on them.
-        unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
-            space, that belong to these multipliers; None for linear bodies.
+        unknowns: `StepState.unknowns` that belong to these multipliers.
         displacement: displacement [length] from which slip counts with finite sliding; None: zero.
         motions: (pairs, 3, 4) positions of rigid obstacles, from which slip counts.
         configuration: displacement [length] at which pairs with finite sliding were paired; None:
@@ -52,7 +51,7 @@ class StepSolution:
         multipliers: (size,) solution of the dual problem.
         history: slip and dissipation of the accepted steps and of this solution.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
-        inputs: load and `ContactSystem.law_values` of this solve, to detect later changes.
+        load, laws: load [force] and `ContactSystem.law_values` of this solve, to detect changes.
         obstacle_moves: (pairs,) whether the pair's obstacle moves in this load step.
         motions: (pairs, 3, 4) places of obstacles in the solution, as `RigidMotion.matrix`.
     """
@@ -63,7 +62,8 @@ class StepSolution:
     fields: Evaluation
     history: SlipHistory
     curves: list[CurveAtNodes]
-    inputs: list[Array]
+    load: Array
+    laws: list[Array]
     obstacle_moves: Mask
     motions: Array
 
@@ -127,7 +127,7 @@ class StepState:
     def after_step(
         self, history: SlipHistory, displacement: fem.Function | None, **accepted: Any
     ) -> StepState:
-        """Return the state after a load step with the present obstacles; `accepted` has changes."""
+        """Return the state after an accepted step; `accepted` are attributes of `AcceptedStep`."""
         present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
         step = replace(self.accepted, displacement=displacement, **(present | accepted))
         after = replace(self, history=history, accepted=step, pending=False)
@@ -141,11 +141,10 @@ class StepState:
         )
 
     def acceptable(self, unconverged: bool) -> StepSolution:
-        """Return the last solution if it can be accepted, even unconverged. Not collective."""
+        """Return the last solution, or raise an error if it cannot be accepted. Not collective."""
         if self.solution is None or not self.pending:
             raise ContactError(
-                "there is no solution to accept: call solve() after each change of the loads, and "
-                "then accept()."
+                "there is no solution to accept: after each change of loads, call solve() first."
             )
         status = self.solution.status
         if status is not ContactStatus.CONVERGED and not unconverged:
@@ -163,15 +162,16 @@ class StepState:
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which a solve begins now. Collective.
 
-        This is the last accepted step if the solution may depend on the start of its solve, unless
-        the user has changed the unknowns since.
+        If a solution depends on where its solve starts, this is the last accepted step; unknowns
+        that the user has changed since then stay. Otherwise, before the first step, or if a step
+        goes on in another configuration, it is where the last solve ended.
         """
         if not depends_on_start or not self.history.begun or self.continues:
             return replace(self, continues=False)
         end, unknowns = self.end, self.unknowns
         unchanged = end is not None and unknowns is not None and np.array_equal(end, unknowns)
-        is_trial = self.jump.comm.allreduce(unchanged, op=MPI.LAND)
-        unknowns = self.accepted.unknowns if is_trial else unknowns
+        if self.jump.comm.allreduce(unchanged, op=MPI.LAND):
+            unknowns = self.accepted.unknowns
         return replace(self, multipliers=self.accepted.multipliers, unknowns=unknowns)
 
     def with_tangents_of(self, jump: JumpOperator) -> StepState:
@@ -182,15 +182,15 @@ class StepState:
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
         """Return the state on the B of surfaces displaced by u [length]. Collective.
 
-        With `since_accepted` (pairs,), the slip of this step becomes the tangential jump, between
-        nodes and their present partners, since the last accepted step; else nodes keep their slip
-        so far.
+        Where `since_accepted` (pairs,) is True, slip counts from the tangential jump, between nodes
+        and their present partners, in the last accepted step. Elsewhere nodes keep the slip T u - s
+        of the former B, which determines the new origin s.
         """
         carry = Carry(self.jump, jump)
-        kept = carry.jumps(self.jump.of_displacement(u) - self.history.origin)
+        kept_slip = carry.jumps(self.jump.of_displacement(u) - self.history.origin)
         accepted, origin = self.accepted.displacement, np.zeros(len(jump.gap))
         rows = jump.discs.tangential
-        origin[rows] = (jump.of_displacement(u) - kept)[rows]
+        origin[rows] = (jump.of_displacement(u) - kept_slip)[rows]
         at_start = np.zeros_like(origin) if accepted is None else jump.of_displacement(accepted)
         for is_new, own in zip(since_accepted, jump.own_rows, strict=True):
             if is_new and not own.operators.bonded:
@@ -198,7 +198,7 @@ class StepState:
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
-        """Return the state with multipliers carried over to another B. Not collective."""
+        """Return the state on another B, with the same tractions and without a solution."""
         accepted = carry.multipliers(self.accepted.multipliers)
         return replace(
             self,

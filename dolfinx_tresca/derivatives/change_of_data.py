@@ -30,7 +30,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import check_type
-from dolfinx_tresca._base.arrays import Array, LocalNumbers
+from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
 from dolfinx_tresca._base.functions import owned_size
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -61,7 +61,7 @@ class NodalField(NamedTuple):
 
 
 def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
-    """Return the scalars on which solutions depend: gaps and terms of slip bounds. Collective."""
+    """Return each pair's gap and terms of its slip bound, with their effect on data. Collective."""
     jump, x = linearised.dual.jump, linearised.multipliers
     cones = linearised.dual.admissible.at_point(x, linearised.gradient)
     # an entry for each pair with a curve, in the order of the pairs
@@ -76,7 +76,8 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
         ]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
-    # derivatives of the radii of min(c + F p, l) by c, F and l
+    # derivatives of the radii of min(c + F p, l): since a radius is linear in the bound, they are
+    # the radii of the bounds 1 (by c), p (by F, below the limit) and 1 (by l, above the limit)
     by_constant = radii_of_bound(1.0, 0.0)
     by_term = {
         "constant": by_constant,
@@ -93,7 +94,7 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
             scalar = getattr(pair.friction.terms, term)
             if term == "coefficient" and pair.friction.terms.curve is not None:
                 scalar = partial(pressed_values, *next(curves))
-            if not isinstance(scalar, tuple):  # `check_controls` refuses those along two directions
+            if not isinstance(scalar, tuple):  # `check_controls` refuses two bounds of a pair
                 by_bound = by_term[term][disc], (len(x) + disc, node)
                 fields.append((scalar, f"{words} of {pair}", by_bound))
         shape = len(x) + len(by_constant), len(node)
@@ -112,7 +113,7 @@ class JumpDifferences:
     Attributes:
         sides: B with the obstacles displaced forwards and backwards.
         jumps: (size,) B u with both operators.
-        step: distance of each side from the present position, as a factor of the direction.
+        step: factor of the direction, by which the Constant differs from its value on each side.
         origin: (size,) the slip origin that keeps its vector at each node, in components along the
             tangents of the solution.
     """
@@ -123,7 +124,7 @@ class JumpDifferences:
     origin: Array
 
     def rate(self, function: Callable[[JumpOperator, Array], Any]) -> Any:
-        """Return the directional derivative of a function of B and B u. Collective if it is."""
+        """Return the directional derivative of a function of B and B u, collective if this is."""
         after, before = map(function, self.sides, self.jumps)
         return (after - before) / (2.0 * self.step)
 
@@ -137,26 +138,17 @@ def jump_differences(
 ) -> JumpDifferences | None:
     """Return the central differences of B in a direction of a Constant. Collective.
 
-    The direction has the shape of the Constant's value. Unless the Constant changes `in_all_steps`
-    so far, it changes only after the last accepted step: the slip of the accepted steps stays the
-    same vector at each node, whose components change with the tangents. The result is None if no
-    obstacle moves along its normals.
+    The direction has the shape of the Constant's value. The result is None if no distance from an
+    obstacle and no normal changes. If the Constant changes `in_all_steps` so far, so does the slip
+    origin, with the jumps of the previous step (`goals.gradient`). If it changes in the last step
+    alone, the slip origin stays the same vector at each node, whose components change.
     """
     obstacles, jump = contact.obstacles, contact.jump
     rates = obstacles.rates(constant, direction, jump)
     moves = rates > 0.0
     if not moves.any():
         return None
-    origin: Array = np.zeros(len(jump.gap))
-    if not in_all_steps:
-        solved = contact.solution_for("a derivative")
-        origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
-        for pair, moving, rows in zip(contact.pairs, in_step, jump.own_rows, strict=True):
-            if moving and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
-                raise InputError(
-                    f"contact pair {pair}: the derivative with respect to the place of an "
-                    "obstacle is not known for a load step in which move_to() moves it."
-                )
+    origin = np.zeros(len(jump.gap)) if in_all_steps else _kept_origin(contact, moves)
     # with a step that changes distances by a given length, differences do not depend on the units
     step = DIFFERENCE * obstacles.extent / float(rates.max())
     sides = []
@@ -164,30 +156,48 @@ def jump_differences(
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
             displaced = displaced_jump(jump, contact.pairs, contact.state.geometry, moves)
         sides.append(displaced.along_axes(linearised.bounds))
+    _check_same_rows(contact, sides)
+    jumps = [side.of_displacement(linearised.u) for side in sides]
+    return JumpDifferences(sides, jumps, step, origin)
+
+
+def _kept_origin(contact: ContactSystem, moves: Mask) -> Array:
+    """Return the slip origin (size,), if no obstacle in the mask `moves` was moved. Collective."""
+    # where move_to() has moved an obstacle in this step, the origin depends on its place
+    solved = contact.solution_for("a derivative")
+    origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
+    for pair, moving, rows in zip(contact.pairs, in_step, contact.jump.own_rows, strict=True):
+        if moving and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
+            raise InputError(
+                f"contact pair {pair}: the derivative with respect to the place of an "
+                "obstacle is not known for a load step in which move_to() moves it."
+            )
+    return origin
+
+
+def _check_same_rows(contact: ContactSystem, sides: Sequence[JumpOperator]) -> None:
+    """Check that B of displaced obstacles has the present nodes and tangents. Collective."""
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
         and np.array_equal(displaced.row_node, pair.row_node)
         and np.allclose(displaced.weights, pair.weights, rtol=1e-9)
         and (np.abs(displaced.tangents - pair.tangents) <= 0.05).all()  # the same row of T
         for side in sides
-        for displaced, pair in zip(side.pairs, jump.pairs, strict=True)
+        for displaced, pair in zip(side.pairs, contact.jump.pairs, strict=True)
     )
     if not contact.comm.allreduce(same, op=MPI.LAND):
         raise InputError(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
             "no derivative with respect to its place. Compare two solutions."
         )
-    jumps = [side.of_displacement(linearised.u) for side in sides]
-    return JumpDifferences(sides, jumps, step, origin)
 
 
 class DataVector(NamedTuple):
     """A change of the data of a solution, or the derivatives of an output by the data.
 
     Attributes:
-        load: (owned degrees of freedom,) change of the load [force], and of the prescribed values
-            [length] in their rows; or the adjoint displacement z, and derivatives by prescribed
-            values.
+        load: (owned degrees of freedom,) change of the load [force], and of prescribed values
+            [length] in their rows; or the adjoint z, and derivatives by prescribed values.
         laws: (size + n_discs,) change of (d; s), divided by `JumpOperator.length_scale`, and of the
             radii of the discs; or y, and derivatives by the radii.
         jump_differences: central differences of B, if the change of the data moves obstacles.
@@ -207,7 +217,7 @@ class DataOfSolution:
     def __init__(
         self, contact: ContactSystem, residual: Any, u: fem.Function, *, in_all_steps: bool = False
     ) -> None:
-        """Keep what data depend on. Collective.
+        """Keep the forms and fields from which the data come. Collective.
 
         The `residual` is internal minus external forces at u, a form of rank 1; `linearise` gives u
         the values of a solution. `jump_differences` explains `in_all_steps`.
@@ -220,9 +230,7 @@ class DataOfSolution:
         self._compiled: dict[Any, Any] = {}
 
     def check_controls(self, controls: Any) -> None:
-        """Check that derivatives with respect to controls are known. Collective.
-
-        The argument is the user's, of any type.
+        """Check that derivatives with respect to the user's controls are known. Collective.
 
         Raises:
             InputError: controls are no list of Constants and Functions; or a direction or two
@@ -244,6 +252,7 @@ class DataOfSolution:
                         "not known, since it is part of the direction or the two bounds of "
                         "orthotropic friction. Compare two solutions."
                     )
+            # raises an error if an obstacle's place depends on the values of a Function
             self.contact.obstacles.rates(control, None, self.contact.jump)
 
     def checked_goal(self, goal: Any) -> Goal | ufl.Form:
@@ -278,8 +287,9 @@ class DataOfSolution:
         differences: list[JumpDifferences] = []
 
         def laws_on(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
-            """Return the offsets and the radii with the rows of another B."""
+            """Return (d; s) - B u with u fixed, and the radii, for another B (`side`)."""
             radius = side.bounded(linearised.bounds).section(x).radius
+            # a change of B u at fixed u has the effect of an opposite change of (d; s)
             offset = side.gap - jump_of_u + Carry(linearised.dual.jump, side).jumps(origin)
             return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
 
@@ -294,6 +304,7 @@ class DataOfSolution:
                     laws += scalar.effect @ rates[:, 0]
             if not isinstance(control, fem.Constant):
                 continue
+            # an obstacle that moves changes B: in the forces B'x, the offsets and the radii
             sides = jump_differences(contact, linearised, control, direction, self._in_all_steps)
             if sides is not None:
                 differences.append(sides)
@@ -304,14 +315,15 @@ class DataOfSolution:
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
         """Return the derivatives of a goal by the values of a Function that this rank owns.
 
-        Collective. The other `derivatives` are those with respect to the data.
+        Collective. The given `derivatives` of the goal are those by the data. By the chain rule,
+        the load contributes -z'dR, and prescribed values and nodal fields their part.
         """
         prescribed = self.contact.linear.prescribed
         self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
         self._z.x.scatter_forward()
         by_prescribed = dolfinx.la.vector(control.x.index_map, control.x.block_size)
-        # which value of the control is prescribed where: conditions with the numbers 1, 2, 3, ...
-        # in place of the control's values, and 0 where other data are prescribed
+        # which value of the control is prescribed where: with its values replaced by the numbers 1,
+        # 2, 3, ..., conditions prescribe these numbers, and the result is 0 at other unknowns
         numbers = np.arange(1, len(control.x.array) + 1, dtype=np.float64)
         value_number = self._prescribed_by(control, numbers).astype(np.intp)
         depends = value_number > 0
@@ -327,11 +339,10 @@ class DataOfSolution:
         return np.asarray(result)
 
     def _prescribed_by(self, control: Control, values: Array) -> Array:
-        """Return the values that Dirichlet conditions take from a control. Not collective.
+        """Return what Dirichlet conditions prescribe if a control has the values. Not collective.
 
-        DOLFINx does not say which values these are: the effect of the conditions shows it. The
-        control takes the given values. The result (owned degrees of freedom,) is zero where no
-        condition takes a value from it.
+        The result (owned degrees of freedom,) is zero where no condition takes a value from the
+        control. DOLFINx does not say where these are: they change if the control is set to zero.
         """
         ends = np.zeros((2, len(self.u.x.array)))
         for prescribed, given in zip(ends, (values, np.zeros_like(values)), strict=True):
@@ -343,9 +354,9 @@ class DataOfSolution:
     def derivative(self, form: Any, control: Control, direction: Any = None) -> Any:
         """Return the derivative of a form by a control; 0 if it does not depend on it. Collective.
 
-        Without a direction, the form has the rank 0, and the result has one value for each value of
-        the Function. A direction gives values of a Constant, or is a Function; the result is then a
-        number, or the entries (owned degrees of freedom,) of a vector.
+        Along a direction (values of a Constant, or a Function), this is a number for a form of rank
+        0, and a vector (owned degrees of freedom,) for rank 1. Without a direction, it is a vector
+        of derivatives of a form of rank 0 by each value of a Function that this rank owns.
         """
         if control not in (*form.constants(), *form.coefficients()):
             return 0.0
@@ -355,7 +366,7 @@ class DataOfSolution:
                 space = control.function_space
                 along = ufl.TestFunction(space) if direction is None else fem.Function(space)
                 change = ufl.derivative(form, control, along)
-            else:
+            else:  # UFL differentiates by the factor of a change of the Constant
                 mesh = self.u.function_space.mesh
                 along = fem.Constant(mesh, np.zeros(control.ufl_shape))
                 factor = ufl.variable(fem.Constant(mesh, 0.0))
@@ -373,11 +384,9 @@ class DataOfSolution:
 
 
 def inputs_of_problem(contact: ContactSystem) -> list[Any]:
-    """Return all Constants and Functions on which solutions depend, each once.
+    """Return all Constants and Functions on which solutions depend, except places of obstacles.
 
-    Those that users' functions of pressure or slip read are found in the functions' closures. What
-    places rigid obstacles is not among them. Values of Dirichlet conditions may be C++ objects of
-    DOLFINx; `values_of` accepts them, too.
+    Values of Dirichlet conditions may be C++ objects of DOLFINx, which `values_of` accepts, too.
     """
     inputs: list[Any] = []
     for form in contact.linear.ufl_forms:

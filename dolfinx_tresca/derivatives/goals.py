@@ -67,7 +67,7 @@ def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Arr
     the sum of its derivatives times B u and x.
     """
     rows = jump.by_pair[goal.pair]
-    # rows n and t of B, and their nodes i and j in the pair
+    # rows n and t of B, with the nodes i and j of the pair to which they belong
     pair, n, t = rows.operators, rows.normal, rows.tangential
     i, j = pair.normal_node, pair.tangent_node
     by_jump, by_x = np.zeros(len(jump.gap)), np.zeros(len(jump.gap))
@@ -79,6 +79,7 @@ def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Arr
         by_x[n] = -pair.weights[i] * (pair.normals[i] @ along)
         by_x[t] = -pair.weights[j] * (pair.tangents @ along)
     elif isinstance(goal, PressureNorm):
+        # S^(1/m) with S = sum of w |p|^m has the derivatives w sign(p) |p|^(m-1) S^(1/m-1) by p
         pressure = (x * jump.stress_scale)[n]
         magnitude = np.abs(pressure)
         largest = float(reduce_array(jump.comm, magnitude.max(initial=0.0), MPI.MAX))
@@ -90,11 +91,10 @@ def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Arr
             by_pressure = np.sign(pressure) * magnitude ** (m - 1.0) * whole ** (1.0 / m - 1.0)
             by_x[n] = weights * by_pressure
     else:
-        share = pair.weights * (
-            _means_of_bump(goal, jump.system.V, pair)
-            if isinstance(goal, MeanPressure)
-            else _bump(goal, pair.places)
-        )
+        if isinstance(goal, MeanPressure):
+            share = pair.weights * _means_of_bump(goal, jump.system.V, pair)
+        else:
+            share = pair.weights * _bump(goal, pair.places)
         whole = float(reduce_array(jump.comm, share.sum()))
         if whole == 0.0:
             raise InputError(
@@ -119,9 +119,8 @@ def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
     """Return the mean (nodes,) of a patch's weight round each node of a pair. Collective.
 
     A multiplier is the mean of the pressure under its node's hat function. If the goal used the
-    values of the weight at the nodes, the weight would be linear between nodes, and the error of
-    this interpolation would exceed the discretisation error of elements of degree 2. With means by
-    the multiplier basis, the difference between the linear weight and the patch's weight has a zero
+    weight's values at the nodes, the error of this linear interpolation would exceed the
+    discretisation error of elements of degree 2. With means by the multiplier basis, it has a zero
     mean round each node.
     """
     index_map = V.dofmap.index_map
@@ -143,8 +142,7 @@ class GoalError:
         error: estimate of the discretisation error of the value [same unit]: the absolute value of
             `signed_error` and, as its uncertainty, `DOUBT` times the sum of the squares of
             `cell_errors`. The estimate is not a bound. It is zero if the goal does not depend on
-            the displacement to first order, as for the mean pressure on a patch that nothing
-            touches.
+            the displacement to first order, as for the mean pressure on a patch without contact.
         signed_error: estimate of the exact value minus the value [same unit]: the sum over the
             cells of a(e, e') for the errors e of the displacement and e' of the adjoint.
         iteration_error: estimate, to first order, of the error of the value that the iteration's
@@ -201,7 +199,7 @@ def goal_error(
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
     The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
-    that of the iteration [energy^(1/2)].
+    that of the iteration [energy^(1/2)]. The module and `GoalError` describe the estimate.
     """
     dual, jump, x = linearised.dual, linearised.dual.jump, linearised.multipliers
     products_before = dual.compliance.products
@@ -209,8 +207,8 @@ def goal_error(
     z, _ = linearised.adjoint(by_jump, by_x, accuracy=ADJOINT_ACCURACY)
     estimator = dual.compliance.estimator
     error_products = estimator.products(linearised.u, z)
-    cells, of_z = estimator.cell_errors(linearised.u), estimator.cell_errors(z)
-    cells.x.array[:] = np.sqrt(cells.x.array * of_z.x.array)
+    cells, errors_of_z = estimator.cell_errors(linearised.u), estimator.cell_errors(z)
+    cells.x.array[:] = np.sqrt(cells.x.array * errors_of_z.x.array)
     own_cells = cells.x.array[: len(error_products)]
     unsigned, signed = reduce_array(jump.comm, [own_cells @ own_cells, error_products.sum()])
     degree = linearised.u.function_space.element.basix_element.degree
@@ -227,9 +225,9 @@ def goal_error(
 
 
 def checked_directions(controls: Sequence[Control], directions: Any) -> list[Any]:
-    """Check changes of controls, and return them: arrays for Constants, or Functions.
+    """Return the user's directions as a list: arrays for Constants, Functions for Functions.
 
-    Not collective.
+    There must be one for each control, finite, with its shape or on its space. Not collective.
     """
     result = list(directions) if isinstance(directions, Sequence) else [directions]
     if len(result) != len(controls):
@@ -260,24 +258,22 @@ def gradient(
 ) -> tuple[list[Array], Array]:
     """Return the derivatives of a sum of goals, by one adjoint solve. Collective.
 
-    The sum may contain further terms, of which only the derivatives `by_origin` are given. With the
-    derivatives q_u and q_x of the sum with respect to u and to the multipliers, the derivatives
-    with respect to the prescribed values are q_u - B'y - K z, and those with respect to the radii
-    of slipping nodes are t'(q_x - B z), with the directions t of the tractions.
+    With the derivatives q_u and q_x of the sum with respect to u and to the multipliers, the
+    derivatives with respect to the prescribed values are q_u - B'y - K z, and those with respect to
+    the radii of slipping nodes are t'(q_x - B z), with the directions t of the tractions.
 
     The derivative with respect to the slip origin s is y, like the derivative with respect to the
-    gap. A node that stuck in the previous load step keeps the s of this previous step; for any
-    other node s is its tangential jump T u in the previous step. So y carries the derivatives of a
-    step's goals back to the previous step.
+    gap. After this step, a node that sticks in it keeps its s; for any other node the next s is its
+    tangential jump T u in this step. So derivatives of goals of later steps, `by_origin` (size,)
+    with respect to the next s, are added to y at nodes that stick, and to q_u at other nodes.
 
     The result has for each control the derivatives with respect to its values (for a Function,
-    those that this rank owns), and the derivatives (size,) with respect to the slip origin of this
-    step.
+    those that this rank owns), and the derivatives (size,) with respect to the s of this step.
     """
     linearised, jump, u = data.linearised, data.linearised.dual.jump, data.linearised.u
     discs, sticks, inner = linearised.face.discs, linearised.face.stick, linearised.dual.inner
     by_origin = np.zeros(discs.size) if by_origin is None else by_origin
-    by_next_step = by_origin.copy()  # of nodes that do not stick
+    by_next_step = by_origin.copy()
     by_next_step[discs.tangential[sticks[discs.node]]] = 0.0
     by_jump, by_x, by_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
     for weight, goal in goals:
@@ -315,7 +311,7 @@ def gradient(
             values[k] = inner(derivatives.load, change.load) + inner(derivatives.laws, change.laws)
             for weight, goal in goals:
                 values[k] += weight * explicit_rate(data, goal, [control], [direction], change)
-            for sides in change.jump_differences:  # from these jumps the next step's slip counts
+            for sides in change.jump_differences:  # T u itself, the next s, changes with B
                 values[k] += float(inner(by_next_step, sides.rate(lambda _, jump_of_u: jump_of_u)))
         by_controls.append(values.reshape(control.ufl_shape))
     by_slip = np.zeros(discs.size)
@@ -330,7 +326,7 @@ def explicit_rate(
     directions: Sequence[Any],
     change: DataVector,
 ) -> float:
-    """Return the change of a goal with u and the multipliers fixed, to first order. Collective.
+    """Return the derivative of a goal along directions, with u and x fixed. Collective.
 
     A form of rank 0 may depend on controls, and a goal such as a force depends on the position of
     obstacles through normals and tangents. The `change` is that of the data along the directions.
@@ -345,10 +341,10 @@ def explicit_rate(
 def as_derivatives(
     values: Sequence[Any], controls: Sequence[Control], comm: Any, when: str = ""
 ) -> list[Any]:
-    """Return derivatives of `gradient` as arrays and Functions. Collective.
+    """Return each control's derivatives as an array of its shape, or as a Function. Collective.
 
-    For each control the values may be the number 0. If they are all zero, the log says so; the
-    words `when`, such as " in step 2", tell there to which load step the values belong.
+    The values are those of `gradient`, or the number 0. If a control has zeros alone, the log says
+    so, and to which load step they belong, by the words `when`, such as " in step 2".
     """
     result: list[Any] = []
     for control, derivatives in zip(controls, values, strict=True):
@@ -377,8 +373,7 @@ class SurfaceTangent:
         pressure: change of the contact pressure [stress].
         gap: change of the gap [length], zero at pressed nodes.
         traction: change of the tangential traction [stress]; None without friction.
-        slip: change of the slip [length], zero where friction holds the surfaces; None without
-            friction.
+        slip: change of the slip [length], zero where surfaces stick; None without friction.
     """
 
     name: str
@@ -434,7 +429,7 @@ def tangent_of(
     controls: Sequence[Control],
     directions: Sequence[Any],
 ) -> ContactTangent:
-    """Return the change of a solution: two solves with K and some products with A. Collective.
+    """Return the change of a solution along directions of controls. Collective.
 
     Each node keeps its contact state; see `linearised` for the equations.
     """
@@ -442,11 +437,12 @@ def tangent_of(
     x, linear = linearised.multipliers, jump.system
     change = data.change(controls, directions)
     offset, radius = np.split(change.laws, [len(x)])
+    # prescribed values are eliminated: their change causes the forces -K du_D in other rows
     pull = linear.forces_of(change.load[linear.prescribed]).array
     free_load = change.load - np.where(linear.prescribed, 0.0, pull)
     du, dx = linearised.tangent(free_load, offset, radius)
     jump_change = jump.of_displacement(du)
-    # gap and slip count from the offsets
+    # the gap is d - N u, and the slip T u - s, with the offsets d and s
     slip, stress = (jump_change - offset) * jump.length_scale, dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
@@ -458,19 +454,20 @@ def tangent_of(
         return explicit + float(dual.inner(by_jump, jump_change) + dual.inner(by_x, dx))
 
     def vectors(side: JumpOperator, stress: Array, slip: Array) -> Array:
-        """Return tractions and slips (2, n, d) at the nodes of all pairs, pair by pair."""
+        """Return tangential tractions and slips (2, n, d) at all pairs' nodes, pair by pair."""
         by_pair = [
             [rows.nodal_vectors(values)[:, 1:] for values in (stress, slip)]
             for rows in side.by_pair
         ]
         return np.concatenate(by_pair, axis=1)
 
-    def present(side: JumpOperator, _: Array) -> Array:
+    def present_vectors(side: JumpOperator, _: Array) -> Array:
+        """Return vectors of the present components, which turn with the tangents of B."""
         return vectors(side, x * side.stress_scale, -linearised.gradient * side.length_scale)
 
     changes = vectors(jump, stress, slip)
     for sides in change.jump_differences:
-        changes += sides.rate(present)
+        changes += sides.rate(present_vectors)
     by_pair, result = jump.by_pair, []
     ends = np.cumsum([len(rows.operators.nodes) for rows in by_pair])[:-1]
     of_pairs = np.split(changes, ends, axis=1)

@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple, NoReturn
 
 from petsc4py import PETSc
 
@@ -92,7 +93,7 @@ class LinearisedContact:
 
     @cached_property
     def _states(self) -> tuple[Face, Array, csr_array]:
-        """The face, the diagonal (size,) of C, and I + Q (size, size). Collective."""
+        """The face with P, the diagonal (size,) of C, and I + Q (size, size). Collective."""
         dual, x, r = self.dual, self.multipliers, self.gradient
         cones, target = dual.admissible.at_point(x, r), dual.local_minimiser(x, r)
         section = cones.section(x)
@@ -103,22 +104,23 @@ class LinearisedContact:
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
+        # Q is the sum of g' t n' over slipping nodes, with the slope g' of the bound
         follow = cones.nodal_matrix(np.ones_like(x), (face.radial, cones.at_normals(slope)))
         return face, section.circle_stiffness(r, face), follow
 
     def tangent(self, force: Array, offset: Array, radius: Array) -> tuple[fem.Function, Array]:
-        """Return the tangent (du, dx): the change of the solution by given changes of the data.
+        """Return the changes du of the displacement and dx (size,) of the multipliers. Collective.
 
-        Here du is a displacement and dx (size,) are multipliers, see the module. Products with A
-        are kept for later solves. Collective. The force (owned degrees of freedom,) is df, in rows
-        of prescribed values the change of these values. The offset (size,) is the change of (d; s),
-        divided by `JumpOperator.length_scale`, and the radius (n_discs,) that of the discs.
+        Products with A are kept for later solves. The changes of the data are the force df (owned
+        degrees of freedom,), with du_D in rows of prescribed values; the offset do (size,), divided
+        by `JumpOperator.length_scale`; and the radius dg (n_discs,).
         """
+        # with dx = y + n dg, y = (I + Q) P y obeys the equations of `_solve` for df - B'n dg
         grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
         right = self.dual.jump.contact_force(grown).copy()
         right.array = force - right.array
-        du, dx = self._solve(right, offset, None, transpose=False)
-        return du, dx + grown
+        du, y = self._solve(right, offset, None, transpose=False)
+        return du, y + grown
 
     def adjoint(
         self, by_jump: Array, by_x: Array, by_u: Array | None = None, accuracy: float | None = None
@@ -141,17 +143,15 @@ class LinearisedContact:
         """Return (v, y) with K v + B'y = force, and the equations of y. Collective.
 
         They are T (B v - C y) = T offset, with T = P (I + Q') and y = P y for the adjoint
-        (`transpose`), and with T = P and y = (I + Q) P y for the tangent. In terms of y alone, with
-        rigid motions c of floating bodies, they are
+        (`transpose`), and with T = P and y = (I + Q) P y for the tangent. The first equation gives
+        v = K^-1 (force - B'y), and, if bodies float, the rigid motions U c with B U = G in
+        addition. So y and c obey
 
-            T ((A + C) y - G c) = T (B K^-1 force - offset),    G'y + S c = missing,
+            T ((A + C) y - G c) = T (B K^-1 force - offset),    G'y + S c = resultants,
 
-        where G and S belong to the equilibrium of floating bodies. The method is GCR (minimal
-        residuals), which needs no symmetry. Its preconditioner is the same system, with A replaced
-        by its model from all known products, including products of this call. The equation
-        G'y + S c = missing therefore holds from the first step on.
+        where G, S and the resultants of the force belong to the equilibrium of floating bodies.
         """
-        dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
+        dual, constraints = self.dual, self.dual.constraints
         if accuracy is None:
             accuracy = ACCURACY[dual.compliance.exact]
         prescribed = dual.jump.system.prescribed
@@ -162,77 +162,13 @@ class LinearisedContact:
             free = force.copy()
             free.array[prescribed] = 0.0
             resultants, largest_resultant = dual.equilibrium.resultants(free)
-        jump_at_start = displacement.solve_start()
-        store = dual.compliance.known_products()
-        model = store.model()
-        maps = self._maps(model.diagonal, transpose)
-        # norms of residuals weigh each row by the inverse of the model's diagonal
-        weight = 1.0 / (model.diagonal + curvature)
-        root = np.sqrt(weight)
-        residual = right = maps.test @ (jump_at_start - offset)
-        # if all nodes slip, the difference may be nothing but the rounding error of its terms
-        terms = np.abs(jump_at_start) + np.abs(offset)
-        rounding = RESIDUAL_ROUNDING * norm(dual, root * terms)
-        # y, c, and the values of v that follow them; and orthogonal steps of all three
-        ends = len(right), len(right) + len(resultants)
-        point = np.concatenate([np.zeros(ends[1]), displacement.values])
-        steps: Array = np.empty((len(point), 0))
-        images: Array = np.empty((len(right), 0))
-        missing, wanted_length, converged = resultants, 0.0, False
-        for count in range(MOST_STEPS):
-            maps = self._maps(model.diagonal, transpose)
-            step_y, step_c = model.solve_between(
-                maps, residual, constraints.columns, constraints.softness, missing
-            )
-            length = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
-            # the last step needs no product: it is shorter than the wanted error, or the residual
-            # from which it comes is rounding
-            if count and (length <= wanted_length or norm(dual, root * residual) <= rounding):
-                point[: ends[1]] += np.append(step_y, step_c)
-                converged = True
-                break
-            product, error, change = displacement.product(point[: ends[0]], step_y, length)
-            store.add(step_y, product, error)
-            image = maps.test @ (product + curvature * step_y - constraints.columns @ step_c)
-            step: Array = np.concatenate([step_y, step_c, change])
-            factor = 1.0
-            if count == 0:
-                # whole, since this step alone changes G'y + S c, by what is missing
-                wanted_length, missing = accuracy * length, np.zeros_like(missing)
-            else:  # orthogonal to earlier images, and of length 1
-                norm_before = norm(dual, root * image)
-                overlaps = dual.inner(images, weight * image)
-                image = image - images @ overlaps
-                new_norm = norm(dual, root * image)
-                if new_norm <= RESIDUAL_ROUNDING * norm_before:
-                    break  # errors of products, or no solution exists
-                step, image = 1.0 / new_norm * (step - steps @ overlaps), 1.0 / new_norm * image
-                steps, images = np.column_stack([steps, step]), np.column_stack([images, image])
-                factor = float(dual.inner(image, weight * residual))
-            point, residual = point + factor * step, residual - factor * image
-            displacement.values = point[ends[1] :]
-            model = store.model()
-        y, c = point[: ends[0]], point[ends[0] : ends[1]]
-        accepted = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * right)
-        is_solved = converged or norm(dual, root * residual) <= max(accepted, rounding)
+        y, c, is_solved = self._gcr(displacement, offset, resultants, accuracy, transpose)
         unmet = resultants - dual.inner(constraints.columns, y) - constraints.softness @ c
         # changes of gaps and slip bounds, too, cause multipliers of a tangent
         largest = largest_resultant + (0.0 if transpose else norm(dual, y))
         is_balanced = largest_resultant == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
-        if not (is_solved and is_balanced) and transpose:
-            raise ConvergenceError(
-                "the number has no adjoint: with the contact state of each node fixed (open, "
-                "sticking, slipping) nothing, or hardly anything, holds a body against the motion "
-                "that the number depends on. Ask for another number, or refine for the energy "
-                "error."
-            )
         if not (is_solved and is_balanced):
-            raise ConvergenceError(
-                "the solution has no tangent: with the contact state of each node fixed (open, "
-                "sticking, slipping) nothing, or hardly anything, holds a body against the motion "
-                "that the controls cause. Take another direction, or the difference of two "
-                "solutions."
-            )
+            _raise_unsolved(transpose)
         # a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
@@ -241,15 +177,111 @@ class LinearisedContact:
         v.x.scatter_forward()
         return v, y
 
+    def _gcr(
+        self,
+        displacement: _FollowedDisplacement,
+        offset: Array,
+        resultants: Array,
+        accuracy: float,
+        transpose: bool,
+    ) -> tuple[Array, Array, bool]:
+        """Return y (size,) and c (k,) of `_solve`, and whether they are accurate. Collective.
+
+        GCR (generalised conjugate residuals) needs no symmetry. Its preconditioner is the same
+        system, with A replaced by its model from all known products, including products of this
+        call. The first step is taken whole, so that G'y + S c = resultants holds from then on;
+        further steps have orthonormal images and the factors with the least residual.
+        """
+        dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
+        jump_at_start = dual.jump.of_unknowns(displacement.v)
+        store = dual.compliance.known_products()
+        model = store.model()
+        # norms of residuals and images weigh each row by the inverse of the model's diagonal
+        weight = 1.0 / (model.diagonal + curvature)
+        root = np.sqrt(weight)
+        residual = self._maps(model.diagonal, transpose).test @ (jump_at_start - offset)
+        # if all nodes slip, the difference may be nothing but the rounding error of its terms
+        rounding = RESIDUAL_ROUNDING * norm(dual, root * (np.abs(jump_at_start) + np.abs(offset)))
+        accepted = max(max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * residual), rounding)
+        v = np.zeros(0) if dual.compliance.exact else np.array(displacement.v.array)
+        point = _Unknowns(np.zeros_like(residual), np.zeros_like(resultants), v)
+        steps: list[_Unknowns] = []
+        images: Array = np.empty((len(residual), 0))
+        missing, wanted_length = resultants, 0.0
+        for number in range(MOST_STEPS):
+            maps = self._maps(model.diagonal, transpose)
+            step_y, step_c = model.solve_between(
+                maps, residual, constraints.columns, constraints.softness, missing
+            )
+            length = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
+            # the last step needs no product: it is shorter than the wanted error, or the residual
+            # from which it comes is rounding
+            if number and (length <= wanted_length or norm(dual, root * residual) <= rounding):
+                return point.y + step_y, point.c + step_c, True
+            product, error, change = displacement.product(point.y, step_y, length)
+            store.add(step_y, product, error)
+            step, factor = _Unknowns(step_y, step_c, change), 1.0
+            image = maps.test @ (product + curvature * step_y - constraints.columns @ step_c)
+            if number == 0:
+                wanted_length, missing = accuracy * length, np.zeros_like(missing)
+            else:
+                norm_before = norm(dual, root * image)
+                overlaps = dual.inner(images, weight * image)
+                image = image - images @ overlaps
+                new_norm = norm(dual, root * image)
+                if new_norm <= RESIDUAL_ROUNDING * norm_before:
+                    break  # errors of products, or no solution exists
+                for overlap, earlier in zip(overlaps, steps, strict=True):
+                    step = step.plus(-overlap, earlier)
+                image = 1.0 / new_norm * image
+                step = _Unknowns(*(1.0 / new_norm * values for values in step))
+                images, steps = np.column_stack([images, image]), [*steps, step]
+                factor = float(dual.inner(image, weight * residual))
+            point, residual = point.plus(factor, step), residual - factor * image
+            displacement.v.array[: len(point.v)] = point.v
+            model = store.model()
+        return point.y, point.c, norm(dual, root * residual) <= accepted
+
     def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
-        """Return T and the other maps of `NodalMaps`, for `_solve`. Not collective."""
+        """Return T and the other maps of `NodalMaps`, for `_gcr`. Not collective."""
         (face, curvature, follow), x = self._states, self.multipliers
         if not transpose:
             cones = self.dual.admissible.at_point(x, self.gradient)
             return NodalMaps.on_face(cones, x, face, diagonal, curvature)
-        # with the bounds of the solution, Q is zero
+        # The discs have the bounds of the solution, with Q = 0: this gives the maps for T = P. With
+        # P (I + Q') for P the matrix P D + R stays the same, since Q' D y = 0 for y = P y.
         maps = NodalMaps.on_face(face.discs, x, face, diagonal, curvature)
         return replace(maps, test=maps.test @ follow.T, inverse=maps.inverse @ follow.T)
+
+
+def _raise_unsolved(transpose: bool) -> NoReturn:
+    """Raise the error for an adjoint (`transpose`) or a tangent that does not exist."""
+    if transpose:
+        raise ConvergenceError(
+            "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
+            "slipping) nothing, or hardly anything, holds a body against the motion that the "
+            "number depends on. Ask for another number, or refine for the energy error."
+        )
+    raise ConvergenceError(
+        "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
+        "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
+        "cause. Take another direction, or the difference of two solutions."
+    )
+
+
+class _Unknowns(NamedTuple):
+    """Unknowns y (size,) and c (k,), with v (owned degrees of freedom,); or a step of them.
+
+    With a direct solver v is empty, since it is computed at the end.
+    """
+
+    y: Array
+    c: Array
+    v: Array
+
+    def plus(self, factor: float, step: _Unknowns) -> _Unknowns:
+        """Return these unknowns plus a multiple of a step."""
+        return _Unknowns(*(mine + factor * its for mine, its in zip(self, step, strict=True)))
 
 
 class _FollowedDisplacement:
@@ -264,51 +296,35 @@ class _FollowedDisplacement:
     """
 
     def __init__(self, dual: DualProgram, f: PETSc.Vec, v: PETSc.Vec) -> None:
-        """Begin with y = 0, before any solve. Not collective.
-
-        The right-hand side f has prescribed values in their rows; v is zero.
-        """
-        self._compliance, self._jump, self._f, self._v = dual.compliance, dual.jump, f, v
+        """Begin with y = 0: solve K v = f, which contains prescribed values. Collective."""
+        self._compliance, self._jump, self._f, self.v = dual.compliance, dual.jump, f, v
         self._error = 0.0
-
-    @property
-    def values(self) -> Array:
-        """The values of v that follow y; none with a direct solver, which ends with v."""
-        return np.zeros(0) if self._compliance.exact else np.array(self._v.array)
-
-    @values.setter
-    def values(self, values: Array) -> None:
-        if not self._compliance.exact:
-            self._v.array = values
-
-    def solve_start(self) -> Array:
-        """Return B v (size,) for y = 0: one solve with K, unless f is zero. Collective."""
-        if self._f.norm() > 0.0:
+        if f.norm() > 0.0:
             self._compliance.products += 1
-            self._error = self.improve(None, self._v, STEP_ACCURACY, 0.0)
-        return self._jump.of_unknowns(self._v)
+            self._error = self.improve(None, v, STEP_ACCURACY, 0.0)
 
     def improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
-        """Solve K v = f - B'y; keep prescribed values, which iterations change. Collective."""
+        """Solve K v = f - B'y from the given v, as `StiffnessSolver.improve` does. Collective."""
         force, prescribed = self._f, self._jump.system.prescribed
         if y is not None:
             force = self._jump.contact_force(y)
             force.aypx(-1.0, self._f)
         error = self._compliance.solver.improve(force, v, rtol=rtol, accuracy=accuracy)
-        v.array[prescribed] = self._f.array[prescribed]
+        v.array[prescribed] = self._f.array[prescribed]  # an iteration may change these values
         return error
 
     def product(self, y: Array, step: Array, length: float) -> tuple[Array, float, Array]:
-        """Return A s (size,) for a step s from y, its error, and the step of `values`. Collective.
+        """Return A s (size,) for a step s from y, its error, and the step of v. Collective.
 
-        The length is sqrt(s'A s), approximately, and the error is in the norm sqrt(e'A^-1 e).
+        With v = K^-1 (f - B'y) it is A s = B v(y) - B v(y + s). The `length` is about sqrt(s'A s),
+        and the error is in the norm sqrt(e'A^-1 e).
         """
         if self._compliance.exact:
             return self._compliance.apply(step), 0.0, np.zeros(0)
         self._compliance.products += 1
-        new_v, error_before = self._v.copy(), self._error
+        new_v, error_before = self.v.copy(), self._error
         self._error = self.improve(y + step, new_v, FULL_ACCURACY, STEP_ACCURACY * length)
-        product = self._jump.of_unknowns(self._v) - self._jump.of_unknowns(new_v)
-        change = new_v.array - self._v.array
+        product = self._jump.of_unknowns(self.v) - self._jump.of_unknowns(new_v)
+        change = new_v.array - self.v.array
         new_v.destroy()
         return product, float(np.hypot(self._error, error_before)), change

@@ -86,11 +86,8 @@ class ProcessTape:
     ) -> None:
         """Begin without steps. Not collective.
 
-        Args:
-            contact: the problem whose load steps are recorded.
-            solved_for: function (purpose) -> last solve of the problem. If there is none, it raises
-                an error that names the purpose.
-            residual_at: function (u) -> internal minus external forces at the displacement u.
+        The function `solved_for` (purpose) returns the last solve of the problem, or raises an
+        error that names the purpose, and `residual_at` (u) returns internal minus external forces.
         """
         self._contact, self._solved_for, self._residual_at = contact, solved_for, residual_at
         self.comm = contact.comm
@@ -106,7 +103,11 @@ class ProcessTape:
 
     @contextmanager
     def adding_step(self) -> Iterator[None]:
-        """Record the last solution if the block accepts it. Collective."""
+        """Record the last solution as a step after a block in which the caller accepts it.
+
+        The solution is read before the block, which replaces the slip history from which it was
+        computed; it is added to the tape after the block, if this raises no error. Collective.
+        """
         contact = self._contact
         step = self._solved_for("a recorded load step")
         contact.check_inputs("a recorded load step")
@@ -123,13 +124,14 @@ class ProcessTape:
         linearised = LinearisedContact(dual, step.multipliers, step.fields.u, contact.slip_bounds())
         yield
         self._history = contact.state.history
+        # arrays that have not changed since the last step are shared with it
         before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
         values = [
             former if former is not None and np.array_equal(former, present) else present.copy()
             for former, present in zip(before, map(values_of, self._inputs), strict=True)
         ]
         moves = bool(step.obstacle_moves.any())
-        self._steps.append(_Recorded(linearised, moves, values, step.curves, step.inputs[1:]))
+        self._steps.append(_Recorded(linearised, moves, values, step.curves, step.laws))
 
     @collective(comm_of_self)
     def gradient(self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]) -> list[Any]:
@@ -151,8 +153,7 @@ class ProcessTape:
             Function, a Function on its space.
 
         Raises:
-            ContactError: the problem was destroyed, or K or the pairing has changed since steps
-                were recorded.
+            ContactError: the problem was destroyed, or K or the pairing changed since recording.
             InputError: a step, a goal or a control is wrong.
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
@@ -181,7 +182,7 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return for each step the derivatives by the controls in this step. Collective."""
+        """Return for each step the derivatives by the values of controls in it. Collective."""
         contact = self._contact
         contact.check_not_destroyed()
         u = fem.Function(contact.linear.V)
@@ -195,6 +196,7 @@ class ProcessTape:
                 "before obstacles are moved."
             )
         self._check_places(controls)
+        # a step gives its derivatives by the slip origin, `on_origin`, to the step before
         result: list[list[Any]] = [[0.0] * len(controls) for _ in self._steps]
         on_origin: Array | None = None
         for number in reversed(range(max(goals_of_step, default=-1) + 1)):
@@ -206,7 +208,7 @@ class ProcessTape:
         return result
 
     def _check_laws(self, step: _Recorded, number: int) -> None:
-        """Check that the recorded inputs give the gaps and the friction of a step. Collective."""
+        """Check that gaps and friction have a step's values with its inputs set. Collective."""
         same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise InputError(
@@ -216,7 +218,7 @@ class ProcessTape:
             )
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles have not moved, and have derivatives if needed. Collective."""
+        """Check that obstacles are in place, and derivatives by their places known. Collective."""
         contact, steps = self._contact, self._steps
         if contact.obstacles.changed(contact.jump).any():
             raise ContactError(
@@ -235,7 +237,7 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
-        """Check goals, and return them as number of a step -> pairs (weight, goal)."""
+        """Return the user's goals as number of a step -> pairs (weight, goal), if all are right."""
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
             raise InputError(

@@ -134,8 +134,7 @@ class ContactProblem(ContactProcess):
             entity_maps: the argument of `dolfinx.fem.form` that forms need if they contain
                 Functions on the mesh of a surface: take `SurfaceFields.entity_maps`.
             V: the space of the displacement. It is needed if `a` is not a form of UFL, and for a
-                mixed space W with several vector components, where it is a sub-space such as
-                W.sub(0).
+                mixed space W with several vector components: a sub-space such as W.sub(0).
             axisymmetric: whether the mesh is the meridian of bodies of revolution: x[0] is the
                 radius, x[1] is along the axis, and the integrands of the forms have the factor
                 2 pi x[0]. Contact forces, areas and energies are then those of the whole rings.
@@ -356,7 +355,7 @@ class ContactProblem(ContactProcess):
             return functional.interval(solved.fields.u, candidate, gain)
 
     def _checked_for_bounds(self, gain: Any) -> tuple[bound.Bodies, StepSolution, float]:
-        """Check that the last solution has guaranteed bounds. Collective."""
+        """Return bodies, last solve and gain, if there are guaranteed bounds for it. Collective."""
         contact = self._contact
         solved = self._solved_for("a guaranteed bound")
         contact.check_inputs("a guaranteed bound")

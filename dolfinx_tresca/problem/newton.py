@@ -110,8 +110,7 @@ class NewtonStep:
             where u_0 is the displacement at the start of the solve.
         residual: |R(u_{k+1}) + B'lambda|_{K^-1}, see `NewtonOptions.accuracy`, divided by the same
             norm as `correction`; NaN if it cannot be computed.
-        contact_residual: natural residual of the contact problem, relative to its value without
-            contact.
+        contact_residual: natural residual of the contact problem, relative to that without contact.
         iterations: iterations of the contact solver.
         products: products with A in this step.
         pressed: number of nodes in contact, of all pairs and ranks.
@@ -140,8 +139,7 @@ class NewtonRecord:
 
     Attributes:
         steps: all steps, including the steps of parts of the load that failed.
-        fraction: part of the change of load to which the solution belongs: 1, or less after a
-            failure.
+        fraction: part of the change of load that was solved for: 1, or less after a failure.
         message: the failure, and advice; empty after a success.
         released: energy that is neither stored nor dissipated by friction between the displacement
             from which the solve started and the solution [energy]: the work of loads, prescribed
@@ -203,7 +201,7 @@ class EnergyBalance:
         self._motions = state.motions, problem.obstacles.motions
         self._start = problem.u.x.array.copy()
         known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
-        ends = known_ends or [np.zeros_like(self._start)]
+        ends = known_ends or [np.zeros_like(self._start)]  # zero before the first solve
         self._begins_at_end = any(np.array_equal(self._start, end) for end in ends)
         self._forces_at_start, self._work_at_start, _ = self._contact()
 
@@ -217,7 +215,7 @@ class EnergyBalance:
     def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
         """Return the released energy up to the present u, and whether bodies snap. Collective.
 
-        The energy is NaN if the solve did not start where the last one ended, if internal forces
+        The energy is NaN if the `start` is not where the last solve ended, if internal forces
         cannot be computed, or if a function of the user computes them and bodies do not move `FAR`.
         """
         problem, tangent = self._problem, self._problem.tangent
@@ -225,14 +223,17 @@ class EnergyBalance:
         change = problem.u.x.array - self._start
         owned = change[: len(forces)]
         starts_there = self._begins_at_end and np.array_equal(start, self._start)
-        free, held, driven, elsewhere = largest_abs(  # motions, and 1 if it starts elsewhere
+        # the largest motions of bodies and of what drives them, and 1 if any rank starts elsewhere
+        free, held, driven, elsewhere = largest_abs(
             problem.comm, owned[tangent.moves], owned[tangent.prescribed], driven, not starts_there
         )
         is_far = free > FAR * max(held, driven)
         if elsewhere or (tangent.has_material and not is_far):
             return np.nan, False
+        # R'(u_1 - u_0) at the points of Lobatto's rule: the ends, with the weights 1/12, and two
+        # inner ones, with 5/12
         powers = []
-        inner = 0.5 * np.sqrt(0.2)  # Lobatto's rule is exact for polynomials of degree 5
+        inner = 0.5 * np.sqrt(0.2)
         try:
             for fraction in (0.0, 1.0, 0.5 - inner, 0.5 + inner):
                 with replaced([problem.u], [problem.u.x.array - fraction * change]):
@@ -253,8 +254,6 @@ class Newton:
     """Newton's method for one `solve`: the change of load in as few parts as possible.
 
     Attributes:
-        options: options of Newton's method.
-        contact_options: options of the contact algorithm.
         start: values of u at which the solve starts.
         fraction: part of the change of load that has been applied.
         solution: the solution for `fraction` of the change of load; if no part was solved, the
@@ -262,10 +261,8 @@ class Newton:
         failure: why the last part of the load failed; empty after a success.
         cost: iterations, products and seconds of all steps; see `add_cost`.
         level: index into `ADDED` of the last tangent.
-        stopped: whether the observer stopped the solve.
         stuck: whether no step is possible from the present displacement, with any part of the load.
-        unbalanced: forces out of balance after a failure (`NewtonRecord.unbalanced`); else None.
-        flips: changes of contact before a failure (`NewtonRecord.flips`); else None.
+        unbalanced, flips: the attributes of `NewtonRecord`.
     """
 
     problem: TangentProblem
@@ -291,9 +288,8 @@ class Newton:
         self.start = self.problem.u.x.array.copy()
 
     def run(self) -> None:
-        """Apply the change of load, in parts where Newton's method fails. Collective."""
-        problem = self.problem
-        step = 1.0
+        """Apply the change of load in parts: half after a failure, twice after a success."""
+        problem, step = self.problem, 1.0
         while self.fraction < 1.0:
             state = problem.state
             fraction = min(1.0, self.fraction + step)
@@ -318,7 +314,7 @@ class Newton:
                 return
 
     def _diagnosis(self) -> str:
-        """Return a text for the message after a failure: what the steps show. Collective."""
+        """Return what the steps of a failed load show, for the end of its message. Collective."""
         if self.stopped or self.stuck:
             return ""
         text = ". `newton.unbalanced` and `newton.flips` of the solution show where it fails"
@@ -326,9 +322,8 @@ class Newton:
         (nodes,) = reduce_array(self.problem.comm, [int((self._flips > 2.0).sum())])
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
-        if UNSTABLE_ELEMENTS in self.failure:
-            return text
-        if any(step.is_proximal for step in self.steps):
+        is_unstable = any(step.is_proximal for step in self.steps)
+        if is_unstable and UNSTABLE_ELEMENTS not in self.failure:
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
             text += UNSTABLE_ELEMENTS
         return text
@@ -346,6 +341,7 @@ class Newton:
                 problem.factor()
                 self._sliding.pair_first_configuration()
         while True:
+            # Solve the contact problem of a step, and move to its displacement.
             number += 1
             where = f"Newton step {number} with {problem.tangent.fraction:.4g} of the load"
             try:
@@ -353,16 +349,15 @@ class Newton:
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
-            scale, correction, residual, fault = self._take(solution)
+            scale, correction, residual, fault = self._move_to(solution)
             pressed_before, pressed = pressed, problem.normal_forces_at_nodes() > 0.0
             if number > 1:
                 self._flips += (pressed != pressed_before).any(axis=0)
+            # Is this part of the load in equilibrium, or does the residual grow or stall?
             norm = residual * scale
-            add_cost(self.cost, solution)
             # The residual of the first step may be small only because nothing had moved yet. Steps
             # with added stiffness lead from an unstable equilibrium to a stable one, and on the way
-            # the residual grows before it falls: from 7e-4 to 2e-2, then to 7e-5, in a block of
-            # degree 2 with 8 x 8 cells that snaps at a strain of 0.4335.
+            # the residual grows before it falls: from 7e-4 to 2e-2 to 7e-5 in a block that snaps.
             grows = number > 2 and norm >= norm_before and self.level == 0
             stalls = number > 2 and norm >= STALLED * norm_before
             reached = residual <= self.options.accuracy or (
@@ -370,28 +365,14 @@ class Newton:
             )
             if self.fraction == 0.0 or reached:
                 self.solution = solution
-            springs, proximal = ADDED[self.level]
-            names = [f"contact {springs:g}"] * (springs > 0.0)
-            names += [f"proximal {proximal:g}"] * (proximal > 0.0)
-            self.steps.append(
-                NewtonStep(
-                    number=number,
-                    fraction=problem.tangent.fraction,
-                    correction=correction,
-                    residual=residual,
-                    contact_residual=solution.residuals[-1],
-                    iterations=solution.iterations,
-                    products=solution.products,
-                    pressed=solution.counts.contact,
-                    added=", ".join(names),
-                )
-            )
+            self._record(number, solution, correction, residual)
             log(problem.comm, "%s: residual %.1e, correction %.1e", where, residual, correction)
             if solution.status is ContactStatus.STOPPED:
                 self.stopped = True
                 return f"{where} was stopped by the observer"
             if not math.isfinite(residual):
                 return f"{where}: {fault}"
+            # the larger error, of equilibrium or of the configuration, divided by the requested one
             excess = 1.0 if reached else residual / self.options.accuracy
             if self._sliding is not None:
                 self._sliding.observe(problem.displacement)
@@ -399,6 +380,7 @@ class Newton:
             if reached and excess <= 1.0:
                 return ""
             errors.append(excess)
+            # Is a further step worth while?
             if self._sliding is not None:
                 self._sliding.pair_next_configuration()
             elif grows:  # residuals in two configurations would not be comparable
@@ -413,11 +395,35 @@ class Newton:
                 return failure
             norm_before = norm
 
-    def _take(self, solution: ContactSolution) -> tuple[float, float, float, str]:
-        """Take the displacement u of a step's solution. Collective.
+    def _record(
+        self, number: int, solution: ContactSolution, correction: float, residual: float
+    ) -> None:
+        """Add a step with the present added stiffness to `steps` and `cost`. Not collective."""
+        add_cost(self.cost, solution)
+        springs, proximal = ADDED[self.level]
+        names = [f"contact {springs:g}"] * (springs > 0.0)
+        names += [f"proximal {proximal:g}"] * (proximal > 0.0)
+        self.steps.append(
+            NewtonStep(
+                number=number,
+                fraction=self.problem.tangent.fraction,
+                correction=correction,
+                residual=residual,
+                contact_residual=solution.residuals[-1],
+                iterations=solution.iterations,
+                products=solution.products,
+                pressed=solution.counts.contact,
+                added=", ".join(names),
+            )
+        )
 
-        Return the norm to which errors are relative (`NewtonStep.correction`), the correction, the
-        residual, and why the residual is NaN if it is.
+    def _move_to(self, solution: ContactSolution) -> tuple[float, float, float, str]:
+        """Make a step's displacement the present u, and measure the step. Collective.
+
+        Returns:
+            scale: the norm to which errors are relative (`NewtonStep.correction`).
+            correction, residual: numbers of `NewtonStep`, relative to the scale.
+            fault: reason why the residual is NaN, if it is.
         """
         problem, values = self.problem, solution.w.x.array
         from_start = problem.energy_norm(values - self.start)  # u may go back to zero
@@ -469,10 +475,7 @@ class Newton:
         return bool(least * rate ** (MAX_ITERATIONS_FACTOR * most - number) <= 1.0)
 
     def _step(self) -> ContactSolution:
-        """Solve the contact problem of a step, with added stiffness if needed. Collective.
-
-        A `StiffnessError` says that no entry of `ADDED` makes the tangent definite.
-        """
+        """Solve a contact problem with the least of `ADDED` that makes K definite. Collective."""
         # Springs that were needed once are kept; a slow entry is followed by the one before it.
         first_level = self.level if self.level < FIRST_SLOW else self.level - 1
         for level in range(first_level, len(ADDED)):

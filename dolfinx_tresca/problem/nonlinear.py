@@ -62,7 +62,7 @@ class NonlinearContactSolution(ContactSolution):
 
 
 def _check_options(options: Any, newton: Any) -> None:
-    """Check the options."""
+    """Check the types of both options, and refuse accuracy='balanced'. Not collective."""
     check_options(options)
     if options.balanced:
         raise InputError(
@@ -212,10 +212,10 @@ class NonlinearContactProblem(ContactProcess):
         self._level = 0
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the last solve, repeated with the tangent at the solution. Collective.
+        """Return the last solve, with the tangent at its solution, for a purpose. Collective.
 
-        The last assembled tangent belongs to the previous iterate, so a further Newton step is
-        made.
+        The tangent that was assembled last belongs to the iterate before the solution, so one more
+        Newton step is made. If it is long, inputs have changed since, which is an error.
         """
         former, problem = super()._solved_for(purpose), self._contact
         if not problem.state.pending:
@@ -224,8 +224,7 @@ class NonlinearContactProblem(ContactProcess):
             )
         if self._is_symmetrized:
             raise InputError(
-                f"{purpose} needs the derivative of F, and symmetrize=True takes its symmetric "
-                "part."
+                f"{purpose} needs the derivative of F: symmetrize=True takes its symmetric part."
             )
         problem.tangent.forget_material()  # loads may have changed since
         with problem.restored():
@@ -242,7 +241,6 @@ class NonlinearContactProblem(ContactProcess):
             problem.solve(self.options, self.units, lambda _: False)
             solved = problem.solution_for(purpose)
             change = problem.energy_norm(solved.fields.u.x.array - self.u.x.array)
-            # a large change shows that the inputs have changed since the solve
             inputs_differ = problem.is_large(change, self.u.x.array)
         if inputs_differ:
             raise inputs_changed(purpose)
@@ -305,21 +303,7 @@ class NonlinearContactProblem(ContactProcess):
         released, snaps = np.nan, False
         if run.solution is not None and run.fraction == 1.0:
             released, snaps = balance.released(run.start, run.solution.dissipation)
-        if snaps:
-            warn(
-                self._contact.comm,
-                "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
-                "stored nor dissipated by friction. A quasi-static solution does not tell the path "
-                "to this equilibrium",
-                *(self._solves, released),
-            )
-        if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
-            warn(
-                self._contact.comm,
-                "solve number %d took %d Newton steps: its change of load is too large, or bodies "
-                "snap or are unstable. More load steps, each with a smaller change, may be faster",
-                *(self._solves, len(run.steps)),
-            )
+        self._warn_of_trouble(run, released, snaps)
         if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "
@@ -330,18 +314,39 @@ class NonlinearContactProblem(ContactProcess):
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.state = self._contact.state.with_status(status)
-            hint = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
-            hint += "smaller ones and more steps by NewtonOptions(max_halvings=..., "
-            hint += "max_iterations=...). "
-            message = (
-                f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
-                f"{run.failure}. {hint * (not run.stuck)}Look at `u`: bodies that snap through, "
-                "buckle or crease have no equilibrium nearby; free faces beside a sharp edge of "
-                "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
-                "are squeezed flat need another mesh."
-            )
+            message = self._failure_message(run)
         record = NewtonRecord(
             tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
         )
         values = vars(solution) | run.cost | {"status": status, "newton": record}
         return self._contact.checked(NonlinearContactSolution(**values))
+
+    def _warn_of_trouble(self, run: Newton, released: float, snaps: bool) -> None:
+        """Log that bodies snap, or that a solve took many Newton steps, if so. Not collective."""
+        if snaps:
+            warn(
+                self.comm,
+                "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
+                "stored nor dissipated by friction. A quasi-static solution does not tell the path "
+                "to this equilibrium",
+                *(self._solves, released),
+            )
+        if len(run.steps) > 2 * run.options.max_iterations:  # most load steps take 4 to 8
+            warn(
+                self.comm,
+                "solve number %d took %d Newton steps: its change of load is too large, or bodies "
+                "snap or are unstable. More load steps, each with a smaller change, may be faster",
+                *(self._solves, len(run.steps)),
+            )
+
+    def _failure_message(self, run: Newton) -> str:
+        """Return why a solve reached a part of its change of load, and advice. Not collective."""
+        hint = f"Parts down to {0.5**run.options.max_halvings:.3g} of the change were tried: allow "
+        hint += "smaller ones, more steps: NewtonOptions(max_halvings=..., max_iterations=...). "
+        return (
+            f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
+            f"{run.failure}. {hint * (not run.stuck)}Look at `u`: bodies that snap through, buckle "
+            "or crease have no equilibrium nearby; free faces beside a sharp edge of the contact "
+            "fold sooner on finer meshes (take a coarser mesh there); cells that are squeezed flat "
+            "need another mesh."
+        )

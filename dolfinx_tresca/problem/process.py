@@ -209,8 +209,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 undeformed state, as before the first step.
 
         Raises:
-            InputError: u is no Function of the problem's space, or has values that are NaN or
-                infinite.
+            InputError: u is no Function of the problem's space, or has NaN or infinite values.
             ContactError: the problem was destroyed.
         """
         contact, jump = self._contact, self._contact.jump
@@ -380,8 +379,7 @@ class ContactProcess(PetscOwner, Tabulated):
         Returns:
             for each control the derivatives with respect to its values [unit of the goal divided by
             the unit of the control]: for a Constant, an array of its shape; for a Function, a
-            Function on its space. If all derivatives with respect to a control are zero, the log
-            says so.
+            Function on its space. If all derivatives by a control are zero, the log says so.
 
         Raises:
             ContactError: there is no converged solution for the present inputs; or, for nonlinear
@@ -416,8 +414,7 @@ class ContactProcess(PetscOwner, Tabulated):
         Raises:
             ContactError: see `gradient`.
             InputError: a control or a direction is wrong; see also `gradient`.
-            ConvergenceError: with the contact state kept, nothing holds a body against the change
-                of its loads.
+            ConvergenceError: with its contact state, nothing holds a body against changes of loads.
         """
         data = self._data_of_solution(controls)
         directions = goals.checked_directions(controls, directions)
@@ -429,12 +426,11 @@ class ContactProcess(PetscOwner, Tabulated):
         solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
         u, bounds = solved.fields.u, self._contact.slip_bounds()
-        linearised = LinearisedContact(solved.dual, solved.multipliers, u, bounds)
         if count := solved.fields.counts.undecided:
             text = "derivative: %d node(s) are about to change their state: it is one-sided"
             log(self.comm, text, count)
         data = DataOfSolution(self._contact, self._residual_at(u), u)
-        data.linearise(linearised)
+        data.linearise(LinearisedContact(solved.dual, solved.multipliers, u, bounds))
         data.check_controls(controls)
         return data
 

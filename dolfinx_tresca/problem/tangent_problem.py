@@ -33,9 +33,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
-    Here R are internal minus external forces, and h takes back the part of the change of load that
-    is not applied yet. In a mixed space, u has other unknowns besides the displacement, and K is a
-    saddle point.
+    Here R are internal minus external forces, and h takes back what of the load is not applied yet.
 
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only, so the
     solution of a converged iteration does not depend on it. Its springs in the contact have forces
@@ -50,16 +48,14 @@ class TangentSystem(LinearSystem):
         has_material: whether a function of the user computes coefficients of the forms.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        added_forces: forces [force] at owned degrees of freedom that are added to the load, or
-            None.
+        added_forces: forces [force] at owned unknowns that are added to the load, or None.
         fraction: the continuation parameter t.
     """
 
     is_tangent = True
 
     cure_of_asymmetry = (
-        "Newton's method takes the symmetric part of the derivative with symmetrize=True, and then "
-        "converges linearly."
+        "Newton's method takes its symmetric part with symmetrize=True, and converges linearly."
     )
 
     def __init__(
@@ -116,8 +112,7 @@ class TangentSystem(LinearSystem):
             if not np.array_equal(self.u.x.array, u):
                 self.u.x.array[:] = u
                 raise InputError(
-                    "before_assembly() has changed u, which it must only read: Newton's method "
-                    "chooses u."
+                    "before_assembly() has changed u, which it must only read: the solve sets u."
                 )
         self.check_functions()
         self._updated_at = u
@@ -218,11 +213,9 @@ class TangentProblem(ContactSystem):
         pairs: list[ContactPair],
         request: SolverRequest,
     ) -> None:
-        """Factor the reference tangent, and pair the surfaces. Collective.
-
-        The reference tangent is the tangent of the undeformed bodies; if the material has a
-        history, it is the tangent at the displacement from which the present solve starts.
-        """
+        """Factor the reference tangent, and pair the surfaces. Collective."""
+        # the reference tangent is the tangent of the undeformed bodies; if the material has a
+        # history, it is the tangent at the displacement from which the present solve starts
         self.tangent, self.u, self._on_accept = tangent, tangent.u, on_accept
         self._has_history = tangent.has_material or on_accept is not None
         u = self.u.x.array
@@ -244,20 +237,23 @@ class TangentProblem(ContactSystem):
         return self.tangent.displacement(self.u, self.u.name)
 
     def advance_material(self, solution: StepSolution) -> None:
-        """Make the material's state at a solution the history. Collective."""
+        """Let the user's `on_accept` make the material's state at a solution its history.
+
+        Before that, an error is raised if forces are out of balance at a converged solution: then
+        something has changed since the solve. Collective.
+        """
         if not self._has_history:
             return
         w, is_converged = solution.fields.w, solution.status is ContactStatus.CONVERGED
         try:
             with replaced([self.u], [w.x.array]):
                 self.tangent.forget_material()
-                states = w.x.array, w.x.array - self._reference
-                if is_converged and self.is_large(self.residual_norm(), *states):
+                scales = w.x.array, w.x.array - self._reference
+                if is_converged and self.is_large(self.residual_norm(), *scales):
                     raise ContactError(
                         "the history of the material, loads or coefficients of F have changed "
                         "since the solution that is to be accepted: call solve() again, and "
-                        "accept() before you change them. Only on_accept may make a solution the "
-                        "history."
+                        "accept() before you change them. Only on_accept may change the history."
                     )
                 if self._on_accept is not None:
                     with errors_on_all_ranks(self.comm):
@@ -268,14 +264,12 @@ class TangentProblem(ContactSystem):
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
-        Args:
-            springs: stiffness of springs that hold nodes in contact, relative to the stiffness of a
-                single node of the reference tangent.
-            proximal: factor with which the reference tangent is added, beside springs.
+        This is the stiffness of `springs` that hold nodes in contact, relative to the stiffness of
+        a single node of the reference tangent, and the reference tangent times `proximal`.
         """
         self.tangent.update_material()
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
-            return
+            return  # the tangent at u_k is factored already
         self._tangent_is_plain = False
         added, self.tangent.added_forces = None, None
         if springs > 0.0:
@@ -291,7 +285,7 @@ class TangentProblem(ContactSystem):
             self.tangent.added = None
 
     def _contact_springs(self, factor: float) -> tuple[PETSc.Mat, Array]:
-        """Return the springs B_a'C B_a and their forces; B_a are the rows of B in contact.
+        """Return the stiffness B_a'C B_a of springs and their forces; B_a are rows in contact.
 
         The springs pull to the jumps t that contact prescribes, the gap and the slip origin, with
         the forces B_a'C (t - B_a u_k), which vanish where contact holds. The factor is the
@@ -307,9 +301,9 @@ class TangentProblem(ContactSystem):
         rows, columns = B.createVecLeft(), B.createVecRight()
         rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
         columns.array = np.where(tangent.prescribed, 0.0, 1.0)
-        B.diagonalScale(rows, columns)
+        B.diagonalScale(rows, columns)  # C^(1/2) B_a, zero in prescribed columns
         springs = B.transposeMatMult(B)
-        rows.array *= missing
+        rows.array *= missing  # C^(1/2) (t - B_a u_k)
         B.multTranspose(rows, columns)
         return springs, np.array(columns.array)
 
@@ -345,15 +339,12 @@ class TangentProblem(ContactSystem):
         return held
 
     def _reference_stiffness(self, factor: float) -> PETSc.Mat:
-        """Return the reference tangent times a factor. Collective.
-
-        All rows and columns but those of free displacements are zero: stiffness would change
-        constraints.
-        """
+        """Return the reference tangent of free displacements times a factor. Collective."""
         with replaced([self.u], [self._reference]):
             self.tangent.assemble_stiffness()
         stiffness = self.tangent.K.copy()
         rows, columns = stiffness.createVecs()
+        # other rows and columns become zero: stiffness would change constraints
         rows.array, columns.array = factor * self.tangent.moves, self.tangent.moves
         stiffness.diagonalScale(rows, columns)
         return stiffness
@@ -402,19 +393,15 @@ class TangentProblem(ContactSystem):
         self.obstacles.place(self._places[1])
 
     def residual_norm(self) -> float:
-        """Return |R(u_k) + B'lambda - h|_{K^-1}, see `TangentSystem`; NaN if not finite.
+        """Return |R(u_k) + B'lambda - h|_{K^-1}, see `TangentSystem`; NaN: not finite. Collective.
 
         The tangent K is the one of the previous step, so this is the energy norm of a simplified
         Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
-        Collective.
         """
         return self.norm_of_correction(self.tangent.residual(self.contact_forces()))
 
     def norm_of_correction(self, forces: Array) -> float:
-        """Return |F|_{K^-1} for forces F [force] at owned unknowns, NaN if not finite. Collective.
-
-        In a mixed space, it is the `energy_norm` of K^-1 F.
-        """
+        """Return |F|_{K^-1} for forces F [force] at owned unknowns; NaN: not finite. Collective."""
         force = self.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):
@@ -422,16 +409,13 @@ class TangentProblem(ContactSystem):
         correction = fem.Function(self.tangent.space)
         motion = correction.x.petsc_vec
         self.compliance.solver.improve(force, motion, rtol=ROUGH, accuracy=0.0)
-        if self._reference_block is not None:
+        if self._reference_block is not None:  # of a mixed space, whose K is indefinite
             correction.x.scatter_forward()
             return self.energy_norm(correction.x.array)
         return math.sqrt(max(float(force.dot(motion)), 0.0))
 
     def is_large(self, error: float, *displacements: Array) -> bool:
-        """Return whether an error in `energy_norm` is neither rough, relative to u, nor rounding.
-
-        NaN is large. The displacements are values of u with ghosts. Collective.
-        """
+        """Return whether an error exceeds rounding and `ROUGH` of all `energy_norm`s, or is NaN."""
         limit = max(ROUGH * max(map(self.energy_norm, displacements)), self.rounding_norm())
         return bool(self.comm.bcast(not error <= limit))
 
@@ -451,15 +435,11 @@ class TangentProblem(ContactSystem):
         return ROUNDING * math.hypot(math.sqrt(total), self._norm(self._position()))
 
     def _position(self) -> fem.Function:
-        """Return the positions of nodes from the middle of all, as a displacement [length].
-
-        Terms of F may resist a translation. In a body of revolution a radial translation is a
-        strain, and the radius is not changed. Collective.
-        """
+        """Return positions of nodes from their middle, as a displacement [length]. Collective."""
         V = self.tangent.V
         nodes, x = V.dofmap.index_map, V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
         middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
-        middle[0] *= not self.tangent.axisymmetric
+        middle[0] *= not self.tangent.axisymmetric  # a radial translation would be a strain
         return with_owned_values(V, (x - middle)[: nodes.size_local])
 
     def unbalanced_forces(self) -> fem.Function:

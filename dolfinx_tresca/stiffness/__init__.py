@@ -4,8 +4,7 @@
   prescribed unknowns in K are those of the identity, and f has the prescribed values there.
 - `StiffnessSolver`: a KSP of PETSc that solves with K, counts its solves, and tells the error in
   the energy norm; `cholesky` makes one with factors of MUMPS, `multigrid` one with multigrid.
-- `Component`: the displacement in a mixed space, whose further unknowns, such as pressures, make K
-  indefinite.
+- `Component`: the displacement in a mixed space, whose other unknowns make K indefinite.
 - `BodyFrames`: linear bodies that turn with their frames, so that K stays as it is.
 
 | symbol | name in the code | meaning |

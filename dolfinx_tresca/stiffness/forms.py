@@ -88,6 +88,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     V is needed if neither a nor L is a form of UFL, or if several sub-spaces of a mixed space suit
     displacements: it is then the sub-space of the displacement.
     """
+    # types and arguments of the forms
     given = "a UFL form, {}, or a compiled form together with V="
     one_space = " Of several unknowns make one space, with basix.ufl.mixed_element."
     check_type("a", a, ufl.Form | fem.Form | PETSc.Mat, given.format("a PETSc.Mat"), one_space)
@@ -100,6 +101,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
             f"a needs a trial and a test function, L a test function; found {arguments[0]} and "
             f"{arguments[1]} arguments.{one_space}"
         )
+    # the space of the arguments: that of UFL forms, or V
     forms = [form for form in (a, L) if isinstance(form, ufl.Form)]
     if V is None and not forms:
         raise InputError(
@@ -112,6 +114,7 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
         raise InputError(
             "the arguments of a and L are from different function spaces, or not from V."
         )
+    # numbers of type float64, cells, and conditions
     mesh = space.mesh
     fields = [field for form in forms for field in (*form.coefficients(), *form.constants())]
     for name, typed in (("the mesh", mesh.geometry.x), *zip(map(str, fields), fields, strict=True)):
@@ -150,7 +153,7 @@ def _is_part(V: Any, space: Any) -> bool:
 
 
 def component_index(space: Any, V: Any = None) -> int | None:
-    """Return the index of the displacement's sub-space, V or the only one that suits, or None."""
+    """Return the index of the sub-space of the displacement; None: the space is not mixed."""
     dim, element = space.mesh.geometry.dim, space.ufl_element()
     if _suits(element, dim):
         return None
@@ -286,11 +289,8 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
 
 
 def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
-    """Check that C of a saddle-point matrix (A, B'; B, -C) has no negative diagonal entry.
-
-    The pivots do not show this. The mask tells the free owned unknowns that are no displacement,
-    where K has -C. Collective.
-    """
+    """Check that C in (A, B'; B, -C) has no negative diagonal entry. Collective."""
+    # -C is in the rows of the mask of free owned unknowns; the pivots do not show its signs
     entries = K.getDiagonal().array[not_displacement]
     largest = K.comm.tompi4py().allreduce(float(entries.max(initial=-np.inf)), op=MPI.MAX)
     if largest > 0.0:

@@ -42,7 +42,6 @@ class BodyFrames:
     """The frame of each body of a mesh; bodies without a frame have R = 1 and t = 0.
 
     Attributes:
-        V: the space of the displacement.
         label: (nodes of V,) the body of each node of this rank, with ghosts.
         has_frame: (bodies,) whether the body has a frame that moves.
         axis: (bodies, 3) unit vector about which alone the body can turn; zero: it can turn freely.
@@ -85,8 +84,9 @@ class BodyFrames:
         label = label_bodies(V)
         prescribed = system.prescribed_displacements.reshape(owned, dim)
         whole = prescribed.all(axis=1)
-        # for each body and axis, the nodes that keep the body from turning about other axes: those
-        # with a single prescribed component, and those of surfaces with small sliding
+        # for each body and axis, the number of nodes that keep the body from turning about other
+        # axes, since their displacement along this axis is prescribed; surfaces with small sliding
+        # count for all axes, so that their body has no frame
         guided = np.zeros((count, 3), dtype=np.int64)
         np.add.at(guided[:, :dim], label[:owned], prescribed & ~whole[:, None])
         for pair in pairs:
@@ -97,6 +97,7 @@ class BodyFrames:
         guided[:] = reduce_array(system.comm, guided)
         has_single_axis = guided.sum(axis=1) == guided.max(axis=1)
         axis = np.where((guided > 0) & has_single_axis[:, None], 1.0, 0.0)
+        # in 3D a body that is guided along one axis can turn about it; in 2D it cannot turn
         has_frame = (np.count_nonzero(guided, axis=1) <= dim - 2) & ~_resisted(system, bodies)
         if dim == 2:
             axis[:] = [0.0, 0.0, 1.0]
@@ -138,7 +139,7 @@ class BodyFrames:
     def _moments(self, x: Array) -> tuple[Array, Array]:
         """Return means (bodies, 3) of positions x of guides, and sums of (x - mean) (X - mean)'."""
         comm, label, X = self.V.mesh.comm, self.label[: len(x)], self._points[: len(x)]
-        sums = np.zeros((len(self.has_frame), 7))
+        sums = np.zeros((len(self.has_frame), 7))  # of X, x and 1, then means of X and x
         np.add.at(sums, label[self.guides], np.column_stack([X, x, np.ones(len(x))])[self.guides])
         sums = np.asarray(reduce_array(comm, sums))
         sums[:, :6] /= np.maximum(sums[:, 6:], 1.0)
@@ -151,7 +152,8 @@ class BodyFrames:
         """Return the frames that move with a displacement; None if all are at rest. Collective.
 
         R maps the undeformed guides best, in the least-squares sense, onto their displaced
-        positions (polar decomposition), among the rotations that the body's axis allows.
+        positions, among the rotations that the body's axis allows: with the singular value
+        decomposition M = U S V' of the moments, R = U diag(1, 1, det(U V')) V'.
         """
         mean, moments = self._moments(self._positions(u)[: len(self.guides)])
         translation = np.where(self.has_frame[:, None], mean - self.centre, 0.0)
@@ -161,7 +163,7 @@ class BodyFrames:
         across = np.eye(3) - along
         norms = np.linalg.norm(moments, axis=(1, 2), keepdims=True)
         left, _, right = np.linalg.svd(across @ moments @ across + norms * along)
-        left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
+        left[:, :, 2] *= np.linalg.det(left @ right)[:, None]  # no reflections
         rotation = left @ right
         turned = np.abs(rotation - np.eye(3)).max(axis=(1, 2)) > ROUNDING
         rotation[~(turned & self.has_frame)] = np.eye(3)
@@ -249,7 +251,8 @@ def _resisted(system: Any, bodies: Bodies) -> Mask:
     """Return whether K resists a rigid motion of each body (count,). Collective."""
     dim, free = system.V.mesh.geometry.dim, ~system.prescribed
     label, modes = np.repeat(bodies.label, dim)[free], bodies.rigid_modes(dim)
-    # another factor for each body, so that springs between bodies are seen, too
+    # a mode of all bodies at once, times another factor for each body, so that springs between
+    # bodies are seen, too
     factors = 1.0 + 0.618 * np.arange(bodies.count) % 1.0
     diagonal = system.K.getDiagonal()
     largest, force = np.zeros((2, bodies.count))

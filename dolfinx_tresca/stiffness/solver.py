@@ -69,18 +69,12 @@ class StiffnessSolver(PetscOwner):
     ) -> None:
         """Set the solver up: factor K, or build the hierarchy. Collective.
 
-        Args:
-            name: name of the solver for tables.
-            K: the matrix.
-            defaults: PETSc options that define the solver, after those of the user and of the
-                command line.
-            petsc_options: options of the user, which take precedence over both.
-            prefix: prefix in PETSc's database of options; None: a new prefix.
-            prepare: function that sets up parts of the preconditioner that options cannot set up.
+        The user's `petsc_options` precede those of the command line, with their `prefix` (None: a
+        new one), and these precede the `defaults`, which define the solver. The function `prepare`
+        sets up parts of the preconditioner that options cannot set up.
         """
         self.name, self.comm = name, K.comm
-        self.solves = 0
-        self.krylov_iterations = 0
+        self.solves = self.krylov_iterations = 0
         self._least_eigenvalue = 1.0
         self._warned = self._measured = False
         prefix = f"dolfinx_tresca_{next(_numbers)}_" if prefix is None else prefix
@@ -141,20 +135,13 @@ class StiffnessSolver(PetscOwner):
             raise self._failure()
 
     def improve(self, f: PETSc.Vec, u: PETSc.Vec, *, rtol: float, accuracy: float) -> float:
-        """Solve K u = f from the present `u`, only to the requested accuracy. Collective.
+        """Solve K u = f from the best multiple of the given u, and return the error. Collective.
 
-        Args:
-            f: right-hand side.
-            u: first guess, from whose best multiple the iteration starts; on return the solution.
-            rtol: relative error in the energy norm at which an iteration stops.
-            accuracy: absolute error in the energy norm, as `error` estimates it, at which it stops
-                as well.
-
-        Returns:
-            |u - K^-1 f|_K [energy^(1/2)], estimated as in `error`, but from the residual that the
-            iteration updates, which contains no rounding; 0 for a direct solver. The caller must
-            judge it: it is larger than requested if the iteration stopped early, at its largest
-            number of steps, or when rounding broke it down near the solution.
+        An iteration stops at the relative error `rtol`, or at the absolute error `accuracy`, both
+        in the energy norm. The result is |u - K^-1 f|_K [energy^(1/2)]; 0 for a direct solver. It
+        is estimated as in `error`, but from the residual that the iteration updates, which contains
+        no rounding. The caller must judge it: it is larger than requested if the iteration stopped
+        early, at its largest number of steps, or when rounding broke it down near the solution.
         """
         if self.exact:
             return self.solve(f, u)
@@ -170,8 +157,8 @@ class StiffnessSolver(PetscOwner):
     def _scale_guess(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
         """Replace u by its multiple nearest to K^-1 f; return whether it is not zero.
 
-        After a change of load, rounding of a guess that is too large may exceed the requested
-        accuracy.
+        In the energy norm this is u (u'f) / (u'K u). After a change of load, rounding of a guess
+        that is too large may exceed the requested accuracy.
         """
         Ku = f.duplicate()
         self.matrix.mult(u, Ku)
@@ -183,7 +170,7 @@ class StiffnessSolver(PetscOwner):
         return factor != 0.0
 
     def solve(self, f: PETSc.Vec, u: PETSc.Vec) -> float:
-        """Solve K u = f to the accuracy in the options; return the error. Collective."""
+        """Solve K u = f to the accuracy in the options; return the `error`. Collective."""
         self.check_ready()
         self._ksp.solve(f, u)
         self.solves += 1
@@ -204,21 +191,29 @@ class StiffnessSolver(PetscOwner):
         # residuals that are updated from step to step do not contain rounding
         error = self.error(f, u)
         if reason < 0:
-            accepted = np.inf
-            if reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
-                accepted = ROUGH * self.error(f, f.duplicate())
-            if not (np.isfinite(error) and error <= accepted):  # below, rounding is the cause
-                raise self._failure()
-            if not self._warned:  # once, since further solves will miss the tolerance, too
-                self._warned = True
-                warn(
-                    self.comm,
-                    "the %s solver for K stopped after %d iterations, by PETSc's reason %d, with "
-                    "an error of %.1e in the energy norm, and misses its tolerance; further ones "
-                    "are not reported. Try stiffness='cholesky', or other petsc_options.",
-                    *(self.name, iterations, reason, error),
-                )
+            self._check_stop(f, error)
         return error
+
+    def _check_stop(self, f: PETSc.Vec, error: float) -> None:
+        """Raise an error if an iteration broke down far from the solution. Collective.
+
+        Near the solution, rounding is the cause. Then, or after the largest number of iterations,
+        the log warns, once, since further solves will miss the tolerance, too.
+        """
+        reason, accepted = self._ksp.getConvergedReason(), np.inf
+        if reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+            accepted = ROUGH * self.error(f, f.duplicate())  # of u = 0
+        if not (np.isfinite(error) and error <= accepted):
+            raise self._failure()
+        if not self._warned:
+            self._warned = True
+            warn(
+                self.comm,
+                "the %s solver for K stopped after %d iterations, by PETSc's reason %d, with an "
+                "error of %.1e in the energy norm, and misses its tolerance; further ones are not "
+                "reported. Try stiffness='cholesky', or other petsc_options.",
+                *(self.name, self._ksp.getIterationNumber(), reason, error),
+            )
 
     def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
         """Check, once, |f - K u| / (|K| |u| + |f|) of a solve without iteration. Collective."""
@@ -302,16 +297,12 @@ SPARE_WORKSPACE = 200
 def cholesky(
     K: PETSc.Mat, options: Mapping[str, Any], prefix: str | None, negative_pivots: int | None = 0
 ) -> StiffnessSolver:
-    """Return a solver with the factors of K, or of a saddle-point matrix. Collective.
+    """Return a solver with the factors of K, with the user's options and prefix. Collective.
 
-    Args:
-        K: the matrix, or (A, B'; B, -C).
-        options: PETSc options in addition to the defaults.
-        prefix: prefix of the user's options in PETSc's database; None: there is none.
-        negative_pivots: number of unknowns other than displacements. With as many negative pivots,
-            by Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C is zero, A on
-            the vectors u with B u = 0. None: the number is not known; only a pivot that is zero is
-            an error.
+    A saddle-point matrix (A, B'; B, -C) has as many `negative_pivots` as unknowns other than
+    displacements: then, by Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C
+    is zero, A on the vectors u with B u = 0. None: their number is not known, and only a pivot that
+    is zero is an error.
     """
     defaults: dict[str, Any] = {
         "ksp_type": "preonly",
@@ -402,10 +393,9 @@ def multigrid(
     else:
         # Each rank applies the Gauss-Seidel method to its own rows, M = diag(M_i). The largest
         # eigenvalue of M^-1 K may approach the number of ranks that meet at a node, and errors grow
-        # if it exceeds 2 (on three and more ranks the preconditioner was seen to be indefinite).
-        # Chebyshev's polynomial, made for this largest eigenvalue, avoids the growth. If its
-        # estimate is too low, the smoother is indefinite: with stiffnesses that differ by 1e5, ten
-        # steps of the estimate were too few.
+        # if it exceeds 2. Chebyshev's polynomial, made for this largest eigenvalue, avoids the
+        # growth. If its estimate is too low, the smoother is indefinite: with stiffnesses that
+        # differ by 1e5, ten steps of the estimate were too few.
         smoother["mg_levels_ksp_type"] = "chebyshev"
         smoother["mg_levels_esteig_ksp_max_it"] = 30
     gamg |= smoother

@@ -49,6 +49,7 @@ class LinearSystem(PetscOwner):
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         moves: (owned degrees of freedom,) whether each is a displacement and not prescribed.
+        signs: (owned degrees of freedom,) 1 for displacements, -1 for other unknowns.
         axisymmetric: whether the mesh is the meridian of bodies of revolution about the axis x = 0.
         frames: the frames in which u and f are given, if bodies have turned; None: u is the
             displacement, and f is in space.
@@ -90,8 +91,8 @@ class LinearSystem(PetscOwner):
         self._L = forms.compiled("L", L, self.V.mesh, entity_maps)
         self._is_matrix = isinstance(self._a, PETSc.Mat)
         self.K = PETSc.Mat() if self._is_matrix else dolfinx.fem.petsc.create_matrix(self._a)
-        self._columns: Any = None
-        self._coupled = True
+        self._columns: Any = None  # prescribed columns of K before the elimination
+        self._coupled = True  # whether they have entries off the diagonal
         self._coefficients: list[npt.NDArray[Any]] = []
         self.f = fem.Function(self.space, name="f")
         dofmap = self.space.dofmap
@@ -101,7 +102,6 @@ class LinearSystem(PetscOwner):
             self.prescribed[owned_dofs(bc, owned)] = True
         displacement = np.ones(owned, np.bool_) if self.component is None else self.component.mask
         self.moves: Mask = ~self.prescribed & displacement
-        #: signs of rows in energies: negative for unknowns that are not displacements
         self.signs: Array = np.where(displacement, 1.0, -1.0)
 
     def destroy(self) -> None:
@@ -168,14 +168,12 @@ class LinearSystem(PetscOwner):
         self.K.assemble()
 
     def _eliminate(self) -> None:
-        """Replace prescribed rows and columns of K by those of the identity. Collective.
-
-        The old columns are stored: they give the forces that prescribed values cause.
-        """
+        """Replace prescribed rows and columns of K by those of the identity. Collective."""
         start, end = self.K.getOwnershipRange()
         rows = PETSc.IS().createStride(end - start, start, 1, comm=self.K.comm)
         prescribed = (start + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
         columns = PETSc.IS().createGeneral(prescribed, comm=self.K.comm)
+        # the old columns give the forces that prescribed values cause
         self._columns = self.K.createSubMatrix(rows, columns)
         if self._is_matrix:  # are there entries off the diagonal?
             entries = np.count_nonzero(self._columns.getValuesCSR()[2])
@@ -184,25 +182,23 @@ class LinearSystem(PetscOwner):
         self.K.zeroRowsColumns(columns, 1.0)
 
     def forces_of(self, values: Array) -> PETSc.Vec:
-        """Return the forces K u [force] of prescribed `values` in u, zero elsewhere. Collective.
-
-        K is the matrix before the elimination. The caller owns the vector.
-        """
+        """Return K u [force], owned by the caller, of prescribed `values` alone. Collective."""
+        # with the columns of K before the elimination
         given, forces = self._columns.createVecs()
         given.array = values
         self._columns.mult(given, forces)
         return forces
 
     def reactions_of(self, u: PETSc.Vec) -> Array:
-        """Return K u [force] where values are prescribed, if they are zero in u. Collective."""
+        """Return K u [force] at prescribed unknowns, for a u that is zero there. Collective."""
         reactions = self._columns.createVecRight()
         self._columns.multTranspose(u, reactions)
         return np.array(reactions.array)
 
     def product(self, u: Array) -> PETSc.Vec:
-        """Return K u [force] at free degrees of freedom, with prescribed values in u. Collective.
+        """Return K u [force] at free unknowns, for a u with prescribed values u_p. Collective.
 
-        Elsewhere are forces of prescribed values alone. The caller owns the vector.
+        At prescribed unknowns it is K_pp u_p. The caller owns the vector.
         """
         inside, result = self.K.createVecs()
         inside.array = np.where(self.prescribed, 0.0, u)
@@ -243,13 +239,13 @@ class LinearSystem(PetscOwner):
         """Return the strain energy of u [energy], with the K that was assembled last. Collective.
 
         With K = (A, B'; B, -C) and u = (v, q) it is (v'A v + q'C q) / 2, not a(u, u) / 2, which has
-        - q'C q. u has the prescribed values.
+        - q'C q. u has the prescribed values, which are zero for q.
         """
-        # only displacements have nonzero prescribed values
-        work = (
-            np.where(self.prescribed, 0.0, u.array) @ self.forces_of(u.array[self.prescribed]).array
-        )
-        work += (self.signs * u.array) @ self.product(u.array).array
+        # u'K u = u_f'(K_ff u_f + K_fp u_p) + u_p'K_pp u_p + u_p'K_pf u_f, with free unknowns f and
+        # prescribed ones p: `product` has the forces of the first two terms
+        work = (self.signs * u.array) @ self.product(u.array).array
+        prescribed_forces = self.forces_of(u.array[self.prescribed]).array
+        work += np.where(self.prescribed, 0.0, u.array) @ prescribed_forces
         return 0.5 * float(self.comm.allreduce(work))
 
     @contextmanager
