@@ -394,6 +394,7 @@ class ContactSolution(Evaluation, Tabulated):
                     new.write_text(page(self, steps, picture), encoding="utf-8")
 
     def _rows(self) -> list[Row]:
+        """Return the rows of the table; phases of less than a twentieth of the time are omitted."""
         converged = self.status is ContactStatus.CONVERGED
         work = f"{self.iterations}, {self.products} products with A"
         if self.krylov_iterations:

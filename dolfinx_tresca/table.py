@@ -58,7 +58,8 @@ class Units:
 
         Args:
             quantity: quantity whose unit is returned, such as "stress".
-            dim: dimension of space; in 2D, forces and energies are per unit of thickness.
+            dim: dimension of space, 3 for axisymmetric bodies; in 2D, forces and energies are per
+                unit of thickness.
         """
         if quantity == "length":
             return self.length

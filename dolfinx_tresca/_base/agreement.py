@@ -53,6 +53,7 @@ def collective(
 
         @functools.wraps(function)
         def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+            # `bind`, which raises for missing and for unknown arguments, is left to `values`
             comm = find_comm(dict(zip(signature.parameters, args, strict=False)) | kwargs)
             if comm is None and _comms:
                 comm = _comms[-1]
@@ -84,7 +85,10 @@ comm_of_self = comm_of("self")
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return a communicator, or that of a value or of its mesh; None if there is none."""
+    """Return the communicator of a value: itself, its own or its mesh's; None without one.
+
+    Of a list, and of the arguments of a form, it is the first communicator.
+    """
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
@@ -125,6 +129,7 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
         where: the name of the call.
         values: function that returns name -> value; its exception on one rank is raised on all.
     """
+    # a communicator of the same processes serves again, and becomes the last entry
     same = (MPI.IDENT, MPI.CONGRUENT)
     numbers = [k for k, own in enumerate(_comms) if MPI.Comm.Compare(own, comm) in same]
     _comms.append(_comms.pop(numbers[0]) if numbers else comm.Dup())
@@ -139,7 +144,10 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
 
 
 def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputError:
-    """Return an error for the first difference between the calls of ranks, and texts of values."""
+    """Return an error that tells how the first rank that differs from rank 0 does so.
+
+    `rank_texts` has for each rank the name of its call, and name -> text of the values.
+    """
     expected_place, expected = rank_texts[0]
     rank, (where, texts) = next(
         item for item in enumerate(rank_texts) if item[1] != (expected_place, expected)

@@ -48,6 +48,7 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     _, body_of_fragment = connected_components(graph, directed=False)
     body, count = body_of_fragment[fragment], int(body_of_fragment.max(initial=-1)) + 1
 
+    # sort the bodies by their boxes, and then by the least number of a node in the mesh file
     bounds = _extremes(comm, body, count, V.tabulate_dof_coordinates())
     in_file = np.asarray(mesh.geometry.input_global_indices)[geometry_dofmap(mesh)]
     body_of_cell, least = body[cells[: len(in_file), 0]], in_file.min(axis=1, keepdims=True)
@@ -74,7 +75,10 @@ def labels_of(
 
 
 def _extremes(comm: MPI.Comm, body: npt.NDArray[Any], count: int, values: Array) -> Array:
-    """Return the least values of each body, and then the largest (count, 2 k). Collective."""
+    """Return (count, 2 k): for each body the least of its values (n, k), then the largest.
+
+    `body` (n,) is the body of each row. A body without rows has inf, and then -inf. Collective.
+    """
     k = values.shape[1]
     ranges: Array = np.full((count, 2 * k), np.inf)
     np.minimum.at(ranges, body, np.hstack([values, -values]))
@@ -105,7 +109,7 @@ class Bodies:
 
     @classmethod
     def from_space(cls, V: Any, cell_tags: Any = None) -> Bodies:
-        """Find the bodies of a mesh, which `NamedTags` of its cells, if any, name. Collective."""
+        """Find the bodies of V's mesh; `NamedTags` of its cells name them. Collective."""
         label = label_bodies(V)
         count = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
         bounds = _extremes(V.mesh.comm, label, count, V.tabulate_dof_coordinates())
@@ -130,8 +134,8 @@ class Bodies:
     def rigid_modes(self, dim: int) -> csr_array:
         """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
 
-        Translations come first, then rotations about the centre, as `RigidBodyModes.describe` has
-        them.
+        Each body has first its translations by 1 along the axes, then its rotations about the
+        centre of its box, by the angle 1 / (diagonal of the box) about the axes, in 2D about z.
         """
         translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
         rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
@@ -142,7 +146,7 @@ class Bodies:
         return csr_array((modes[mode, node, component], entries), shape=shape)
 
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
-        """Return number, name and box of a body, and the names of its companions, in words."""
+        """Return a text with number, name and box of a body, and with bodies that move with it."""
         box = self.bounds[index]
         diagonal = float(np.linalg.norm(box[3:] - box[:3]))
         tags = [f" ({name})" if name else "" for name in self.tag_names]

@@ -68,7 +68,7 @@ def create_submesh(
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
     """Return a submesh, its geometry nodes' numbers in the mesh, and entity maps for forms."""
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
-    if not isinstance(cells, np.ndarray):
+    if not isinstance(cells, np.ndarray):  # an EntityMap, since DOLFINx 0.10
         return submesh, nodes, [cells]
     index_map = mesh.topology.index_map(dim)
     inverse = np.full(index_map.size_local + index_map.num_ghosts, -1, dtype=np.int32)
@@ -77,9 +77,9 @@ def create_submesh(
 
 
 def owned_dofs(bc: Any, owned: int) -> Any:
-    """Return the owned degrees of freedom (n,) that a Dirichlet condition prescribes.
+    """Return the degrees of freedom (n,) of this rank that a condition prescribes. Not collective.
 
-    On blocked spaces DOLFINx 0.9 counts some ghosts among the owned ones. Not collective.
+    The rank owns the first `owned` ones. DOLFINx 0.9 counts ghosts of blocked spaces among them.
     """
     dofs = bc.dof_indices()[0]
     return dofs[dofs < owned]

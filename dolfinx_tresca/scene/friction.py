@@ -33,7 +33,10 @@ VectorField: TypeAlias = (
 
 
 def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
-    """Check the type and shape, () or (3,), of a field, whose values are checked at nodes."""
+    """Check the type and shape, () or (3,), of a field; a function of points may return anything.
+
+    Rooms above check the values at nodes.
+    """
     field = expression_of(value)
     if isinstance(field, Expr):
         _check_expression(field, shape, name)
@@ -67,6 +70,7 @@ def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> No
             raise InputError(
                 f"{name} must not depend on a trial or test function: take a fem.Function instead."
             )
+        # derivatives, and quantities such as cell sizes, jump between cells
         if isinstance(operand, Coefficient):
             continuous = operand.ufl_element() in ufl.H1
         else:
@@ -138,7 +142,10 @@ class FrictionCurve:
         return np.broadcast_to(values.astype(np.float64), (count,))
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
-        """Return difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length]."""
+        """Return the difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
+
+        They are 0 where the pressure, or the slip, is 0.
+        """
         low, high = 1.0 - DIFFERENCE, 1.0 + DIFFERENCE
         dp, dv = high * pressure - low * pressure, high * slip - low * slip
         change_with_p = self.values(high * pressure, slip) - self.values(low * pressure, slip)
@@ -150,10 +157,9 @@ class FrictionCurve:
 
 
 def curve_of(coefficient: object) -> FrictionCurve | None:
-    """Return a coefficient of friction as a curve, or None if it is not such a function.
+    """Return a coefficient of friction as a curve if it is a function of two arguments, else None.
 
-    A function that requires two arguments is a curve; a function that requires one argument is a
-    function of points.
+    Only arguments without default count; a function of one argument is a function of points.
     """
     if isinstance(coefficient, type | fem.Expression | Expr) or not callable(coefficient):
         return None
@@ -350,9 +356,7 @@ class Coulomb(DryFriction):
         """Check the types of the arguments.
 
         Raises:
-            InputError: a coefficient, the limit or the adhesion is not a real scalar, or has no
-                single value at a node; `direction` is missing for two coefficients, or given for
-                one coefficient; or it is not a vector.
+            InputError: an argument is wrong, as for `Tresca`.
         """
         if curve_of(self.coefficient) is None or self.direction is not None:
             _check_bound(self.coefficient, self.direction, "the coefficient of friction")
@@ -384,7 +388,7 @@ def two_bounds(bounds: Sequence[Any], name: str) -> list[tuple[Any, str]]:
 
 
 def _check_bound(bound: Any, direction: VectorField | None, name: str) -> None:
-    """Check the type of one bound, or of two bounds and their direction."""
+    """Check the number and types of bounds: one, or two with a direction; see `BoundTerms`."""
     values = bound if isinstance(bound, tuple) else (bound,)
     if len(values) != (1 if direction is None else 2):
         given = "no direction" if direction is None else "a direction"
@@ -450,11 +454,7 @@ class Preload(Bonded):
     force: float | fem.Constant
 
     def __post_init__(self) -> None:
-        """Check the force.
-
-        Raises:
-            InputError: the force is not a finite number.
-        """
+        """Check the force, as `value` does."""
         _ = self.value
 
     @property

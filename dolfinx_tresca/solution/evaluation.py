@@ -128,8 +128,13 @@ def evaluate(
 ) -> tuple[Evaluation, SlipHistory]:
     """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
 
-    The slip history that is returned is the one after this solution, if it becomes a load step.
+    With `estimate`, the error of the mesh is estimated, too.
+
+    Returns:
+        the results; and the slip history after this solution, for the case that it is accepted as a
+        load step.
     """
+    # the displacement that belongs to the multipliers x and c, the gradient r, and their errors
     B, comm, x, c = dual.jump, dual.jump.comm, solution.multipliers, solution.c
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
@@ -140,7 +145,8 @@ def evaluate(
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
 
-    # jumps in B's rows, and by how much gaps have closed at nodes; tools move the primary side
+    # `increment`: slip of the step in B's rows; `closing`: by how much gaps have closed at nodes;
+    # both include the motion of tools, which is not part of u and moves the primary side
     jump, by_tools = B.of_unknowns(solved), dual.jump_of_tools(c)
     normal = np.flatnonzero(~B.is_tangential)
     closing = np.concatenate(B.closings(u))
@@ -152,6 +158,7 @@ def evaluate(
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
     dissipation, increment = float(dual.inner(x, slip)), increment * B.length_scale
 
+    # fields, openings and nodal forces of each pair
     stress, pairs = x * B.stress_scale, B.by_pair
     fields: list[SurfaceFields] = []
     openings: list[float] = []
@@ -177,13 +184,15 @@ def evaluate(
         openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
         forces.append(operators.weights[:, None] * tractions)
     pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
+
+    # results of the whole scene
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
     at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
     peak_pressure, greatest_slip, greatest_total_slip = largest_abs(comm, *at_pressed)
     primal, dual_energy = dual.energies(x, solved, c, error)
-    if B.frames is not None:
+    if B.frames is not None:  # the work of loads on the rigid motions of the frames
         work = B.frames.work(B.system.assemble_forces())
         primal, dual_energy = primal - work, dual_energy - work
     evaluation = Evaluation(
@@ -215,8 +224,8 @@ def energy_errors(
 ) -> dict[str, Any]:
     """Return the fields of an `Evaluation` that tell its error in the energy norm. Collective.
 
-    The displacement that belongs to the multipliers has an `error` [energy^(1/2)]. The error of the
-    mesh is that of an `estimated` displacement, if there is one.
+    `error` [energy^(1/2)] is that of the displacement that belongs to the multipliers. The error of
+    the mesh is estimated from the displacement `estimated`; with None it stays unknown.
     """
     bound = dual.energy_bound(point.x, point.r, error)
     # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
@@ -248,8 +257,8 @@ def forces_on(
 ) -> dict[str, Any]:
     """Return the fields of an `Evaluation` with contact forces and their resultants. Collective.
 
-    At the nodes of each pair the contact forces (n, 1 + d) [force] are a pressing and a tangential
-    one.
+    For each pair, `forces` (n, 1 + d) [force] are the pressing force and the tangential force
+    vector at each node. The forces of the multipliers x (size,) act on the bodies displaced by u.
     """
     B, comm, V = dual.jump, dual.jump.comm, u.function_space
     in_space = zero_like(B.system.f, "f")
@@ -257,6 +266,7 @@ def forces_on(
     in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
     in_space.x.scatter_forward()
     on_nodes = B.system.displacement(in_space, "contact_force")
+    # on linear bodies without frames, forces act at the undeformed places
     displaced = u if B.frames is not None or B.system.is_tangent else None
     on_bodies = nodal_resultants(V, owned_values(on_nodes), displaced, bodies.label, bodies.count)
     on_secondary = [
@@ -286,10 +296,11 @@ def node_values(
     the slip origin, divided by `JumpOperator.length_scale`.
 
     Returns:
-        the states (n,); slip vectors and increments of the slip paths (n, d + 1) of this step
-        [length]; those of all earlier steps; the slip (size,) in B's rows, scaled like the
-        increment; and the fields of an `Evaluation` with the number of nodes in each state, and
-        with the changes of tractions and slip bounds up to each node's local minimiser.
+        states: (n,) values of `ContactState`.
+        steps: (n, d + 1) slip vectors, and increments of the slip paths, of this step [length].
+        before: (n, d + 1) slip vectors and slip paths of all earlier steps [length].
+        slip: (size,) the increment where nodes slip, else zero.
+        results: the fields `counts`, `local_error` and `bound_error` of an `Evaluation`.
     """
     B, x = dual.jump, solution.multipliers
     # nodes are in the state that they would take if their neighbours were fixed
@@ -299,12 +310,13 @@ def node_values(
     slip = np.zeros_like(increment)
     slipping = section.tangential[~stick[section.node]]
     slip[slipping] = increment[slipping]
+    # errors: the changes of tractions and of slip bounds from x to these states
     change, largest, rounding = dual.local_change(x, r)
-    limit = max(change, EDGE * largest)  # of a node's traction, up to which its state is undecided
     is_finite = np.isfinite(section.radius)
     bounds, bounds_at_target = section.radius[is_finite], target_section.radius[is_finite]
     bound_change, largest_bound = largest_abs(B.comm, bounds_at_target - bounds, bounds)
 
+    # which nodes (n,) are bonded, have friction, stick, have a positive slip bound, are pressed
     normal = np.flatnonzero(~B.is_tangential)
     node_of_row, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]
     bonded = np.repeat([pair.bonded for pair in B.pairs], numbers)
@@ -315,7 +327,8 @@ def node_values(
     pressed = np.zeros(len(bonded), dtype=np.bool_)
     # strict inequality: a node without gap and without load is not pressed
     pressed[node_of_row] = bonded[node_of_row] | (target[normal] > 0.0)
-    # where tractions are near the edge of their friction disc, or pressures near zero
+    # undecided: by less than `limit` of traction from the edge of the disc, or of pressure from 0
+    limit = max(change, EDGE * largest)
     scale = np.ones(len(target_section.radius))
     scale[target_section.node] = B.stress_scale[target_section.tangential]
     has_circle = np.isfinite(target_section.radius) & (target_section.radius > 0.0)
@@ -324,12 +337,13 @@ def node_values(
     undecided = (has_circle & (away <= limit))[nodes]
     undecided[node_of_row] |= np.abs(target * B.stress_scale)[normal] <= limit
 
+    # the first condition that a node meets is its state
     conditions = {
         ContactState.BONDED: bonded,
         ContactState.STICK: has_friction & pressed & sticks,
         ContactState.SLIP: has_friction & pressed,
         ContactState.PRESSED: pressed,
-        ContactState.OPEN_STICK: has_friction & rubs & sticks,  # a positive slip bound
+        ContactState.OPEN_STICK: has_friction & rubs & sticks,
         ContactState.OPEN_SLIP: has_friction & rubs,
     }
     values = [float(state) for state in conditions]
@@ -356,11 +370,12 @@ def status_of_fields(
     options: SolverOptions,
     requested: SolverOptions,
 ) -> ContactStatus:
-    """Return the status of a solve from its fields, which are what the user gets. Collective.
+    """Return the status of a solve from the error bound of its fields. Collective.
 
-    The bound of their error, from the last multipliers, may be larger than that of the iteration:
-    then rounding prevents the accuracy that `options` ask for. It may also be small enough for what
-    the user requested although the iteration, whose `options` may ask for more, ended early.
+    The user gets these fields. Their bound may be larger than the bound with which the iteration
+    has converged: then the solve has stagnated, since rounding prevents the accuracy. The bound may
+    also be small enough for the accuracy that the user `requested` although the iteration, whose
+    `options` may ask for more, has ended early: then the solve has converged.
     """
     if solution.status is ContactStatus.STOPPED:
         return ContactStatus.STOPPED
@@ -369,7 +384,7 @@ def status_of_fields(
     if not ended_early and not error > SLACK * solution.wanted:
         return ContactStatus.CONVERGED
 
-    # the bound of the error is that of multipliers in equilibrium
+    # the bound of the error presumes equilibrium of floating bodies
     balanced = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
     if requested.rtol is not None:
         as_requested = solution.residuals[-1] <= requested.rtol and requested != options
