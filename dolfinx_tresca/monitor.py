@@ -110,10 +110,10 @@ class ProgressBar:
             self._progress = newton.fraction if done else 0.99 * newton.fraction
             text = f"of load, Newton step {newton.number}"
         else:
-            done, residual = iteration.reached <= iteration.wanted, iteration.residual
-            progress = 1.0
-            if not done:  # the fraction of the digits
-                progress = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
+            reached, wanted = iteration.reached, iteration.wanted
+            done, residual = reached <= wanted, iteration.residual
+            # the fraction of the digits
+            progress = 1.0 if done else math.log(min(reached, 1.0)) / math.log(wanted)
             # the stopping criterion may change during a solve, but the bar does not go back
             self._progress = max(self._progress, progress)
             text = f"iteration {iteration.number}, {iteration.products} products"

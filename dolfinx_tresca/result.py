@@ -164,11 +164,7 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def surface(self) -> SurfaceFields:
-        """The fields of the only pair.
-
-        Raises:
-            ContactError: the problem has several pairs: take `surfaces[i]`.
-        """
+        """The fields of the only pair; with several pairs, a ContactError: take `surfaces[i]`."""
         if len(self.surfaces) != 1:
             raise ContactError(
                 f"there are {len(self.surfaces)} pairs: take surfaces[i] of one of them."

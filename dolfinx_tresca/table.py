@@ -36,8 +36,6 @@ class Units:
         >>> from dolfinx_tresca import Units
         >>> Units("mm", "MPa", force="N").of("energy")
         'N mm'
-        >>> Units("m", "Pa").of("force", dim=2)
-        'Pa m'
     """
 
     length: str

@@ -108,13 +108,6 @@ def contacts(
     Raises:
         InputError: an argument is wrong.
         MeshError: no faces of different bodies are near each other.
-
-    Example:
-        >>> from mpi4py import MPI
-        >>> from dolfinx_tresca import MESHES, Coulomb, contacts, read_gmsh
-        >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
-        >>> contacts(bricks, friction=Coulomb(0.3))
-        [<ContactPair: lower_contact on upper_contact, coefficient of friction 0.3>]
     """
     check_type("tagged", tagged, TaggedMesh, "the result of read_gmsh")
     limit = None if distance is None else checked_number("distance", distance)

@@ -36,8 +36,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]
     """Distribute the Gmsh model of one rank; return mesh, cell tags and facet tags. Collective."""
     # DOLFINx' default is gdim=3, even for plane models
     dim = comm.bcast(model.getDimension() if comm.rank == rank else None, root=rank)
-    mesh, cell_tags, facet_tags = _gmsh_reader.model_to_mesh(model, comm, rank, gdim=dim)[:3]
-    return mesh, cell_tags, facet_tags
+    return tuple(_gmsh_reader.model_to_mesh(model, comm, rank, gdim=dim)[:3])
 
 
 # The partitioner of DOLFINx 0.11 has a further argument: the largest number of cells at a facet.

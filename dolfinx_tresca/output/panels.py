@@ -176,7 +176,8 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     neighbours = coo_array((np.ones(len(lines)), lines.T), shape=2 * (len(points),)).tocsr()
     count = np.bincount(lines.ravel(), minlength=len(points))
     x, y, _ = np.round(points.T, 12)
-    order = np.lexsort((y, x, count != 1))  # the ends of open pieces come before other nodes
+    # each piece starts at its first node in this order: the ends of open pieces, then the others
+    order = np.lexsort((y, x, count != 1))
     _, piece_of = connected_components(neighbours, directed=False)
     starts = order[np.unique(piece_of[order], return_index=True)[1]]
     start_of_arc, curves = 0.0, []
@@ -198,7 +199,10 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
 
 
 def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
-    """Draw pressure, traction and slip against arc length, with names of units."""
+    """Draw charts of pressure, traction and slip of a contact curve against its arc length.
+
+    Traction and slip are their components along the curve. `length` and `stress` name the units.
+    """
     values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
     charts = [(["pressure"], "contact pressure", stress)]
     if "slip" in values:
@@ -248,6 +252,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     theme.allow_empty_mesh, theme.show_scalar_bar = True, False
     with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
+        # the scale at which all points are in the view, with a margin
         right = np.cross(up, normal)
         directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
@@ -260,6 +265,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
+    # the image, and arrows for the coordinate axes that are not seen end on
     view = axes_at(panel, 0.0, FOOTER, width, height)
     view.imshow(image, aspect="auto", interpolation="none")
     view.set_axis_off()
@@ -286,8 +292,8 @@ def skin(grid: Any) -> Any:
 def corner_grid(volume: Grid) -> Grid:
     """Return a grid in which tetrahedra and hexahedra have no nodes but their corners.
 
-    Of tetrahedra and hexahedra of degree 2 VTK also draws faces between cells that have the nodes
-    of the face in different orders, and then finds no edges of the bodies.
+    If two cells of degree 2 have the nodes of their common face in different orders, VTK takes the
+    face for an outer one of both, and then finds no edges of the bodies.
     """
     kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
     cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
@@ -297,7 +303,10 @@ def corner_grid(volume: Grid) -> Grid:
 def draw_bodies(
     panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
 ) -> None:
-    """Draw bodies with a magnified displacement, contact curves of 2D, and rigid obstacles."""
+    """Draw bodies with a magnified displacement, contact curves of 2D, and rigid obstacles.
+
+    Without a scale, `magnification` chooses it. `unit` names the unit of length.
+    """
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2
     normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)

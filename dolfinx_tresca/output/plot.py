@@ -141,8 +141,8 @@ def compose(
 def display_for_pictures() -> Iterator[None]:
     """Let VTK render within a `with` block, also without a display.
 
-    Then VTK 9.5 and later render through EGL, if the system has this library. Other versions would
-    end in a segmentation fault: for these Xvfb, an X server, is started.
+    Without a display, VTK 9.5 and later render through EGL, if the system has this library. Other
+    versions would end in a segmentation fault: for these Xvfb, an X server, is started.
     """
     import pyvista
 

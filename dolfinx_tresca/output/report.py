@@ -116,7 +116,10 @@ class ProblemSummary:
 
 
 def figures(values: npt.ArrayLike, error: float) -> str:
-    """Return a number or a vector with as many digits, 1 to 8, as its relative error justifies."""
+    """Return the text of a number or a vector, with the digits that its relative error justifies.
+
+    These are 1 to 8 digits of the largest component; the other components have the same places.
+    """
     digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
     largest = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(largest))) if 0.0 < largest < np.inf else 0
@@ -153,7 +156,10 @@ def error_rows(results: Evaluation) -> list[Row]:
 def contact_rows(
     results: Evaluation, units: Units | None, bolts: Mapping[str, BoltForce]
 ) -> list[Row]:
-    """Return the rows of the contact, with the digits that the error of nodal values justifies."""
+    """Return the rows of the contact: counts of nodes, largest values, forces, and energies.
+
+    Values have the digits that the error of nodal values justifies.
+    """
     counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
     dim = 3 if results.axisymmetric else dim  # forces on whole rings
     scale = 0.0 if _may_be_zero(results) else 1.0  # relative errors leave rounding all its digits
@@ -229,7 +235,10 @@ def contact_rows(
 
 
 def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
-    """Return the page of a `ContactSolution`, after earlier load steps, with a `PIL` image."""
+    """Return the HTML page of a `ContactSolution` and of earlier load steps, on the first rank.
+
+    The page includes a picture, a `PIL` image, and the text of the script that is running.
+    """
     image, script = io.BytesIO(), Path(getattr(sys.modules["__main__"], "__file__", ""))
     picture.save(image, format="PNG")
     encoded = base64.b64encode(image.getvalue()).decode()
@@ -252,7 +261,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
 
 
 def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
-    """Return a row for each load step, with the bolts and supports of the last one."""
+    """Return a heading, and a row for each step with the bolts and supports of the last step."""
     bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
     rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
     for number, step in enumerate(solutions, start=1):
@@ -268,6 +277,7 @@ def force_graph(solution: Any) -> str:
     """Return an SVG: bodies as dots, forces between them as lines; "" without forces."""
     names = [*solution.body_names, "rigid obstacles"]
     forces = {bodies: resultant.force for bodies, resultant in solution.between_bodies.items()}
+    # the force of obstacles on a body is that of all contact minus those of other bodies
     by_obstacles = [np.array(resultant.force) for resultant in solution.body_resultants]
     for (i, j), force in forces.items():
         by_obstacles[i] -= force

@@ -113,11 +113,7 @@ DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 
 @dataclass(frozen=True)
 class FrictionCurve:
-    """A coefficient of friction F(p, v) that depends on the pressure and on the slip of the step.
-
-    Attributes:
-        function: see `Coulomb`.
-    """
+    """A coefficient of friction F(p, v), by the user's `function` of pressures and slips."""
 
     function: Callable[[Any, Any], Any]
 
@@ -337,10 +333,6 @@ class Coulomb(DryFriction):
         <Coulomb: coefficient of friction 0.3>
         >>> print(Coulomb(0.3, limit=40.0))
         coefficient of friction 0.3, slip bound at most 40
-        >>> print(Coulomb((0.3, 0.1), direction=(1, 0, 0)))
-        coefficient of friction along (1, 0, 0) and across: 0.3 and 0.1
-        >>> print(Coulomb(0.3, adhesion=2.0))
-        coefficient of friction 0.3, adhesion 2
         >>> print(Coulomb(lambda p, v: 0.5 / (1 + p / 40)))
         coefficient of friction a function of pressure and slip
     """
@@ -444,11 +436,6 @@ class Preload(Bonded):
     Attributes:
         force: force in the bolt [force], positive in tension; in 2D per unit of thickness. A
             `fem.Constant` may be changed before a solve.
-
-    Example:
-        >>> from dolfinx_tresca import Preload
-        >>> str(Preload(20e3))
-        'preload 20000'
     """
 
     force: float | fem.Constant
@@ -459,11 +446,7 @@ class Preload(Bonded):
 
     @property
     def value(self) -> float:
-        """The present force [force].
-
-        Raises:
-            InputError: the force is not a finite number.
-        """
+        """The present force [force]; an InputError is raised if it is not a finite number."""
         force = getattr(self.force, "value", self.force)
         return checked_number("the force of a preload", force, "(-inf, inf)")
 

@@ -239,7 +239,7 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
     sizes: dict[str, float] = {}  # options of Gmsh whose names begin with Mesh.MeshSize
     if suffix == ".geo" or not len(model.mesh.getElementTypes(dim)):
         if is_cad or (suffix == ".model" and size is not None):
-            set_sizes(model, size, str(path))
+            set_sizes(model, {} if size is None else size, str(path))
             sizes = {"FromCurvature": CELLS_PER_TURN, "FromPoints": 0, "ExtendFromBoundary": 0}
         try:
             with options(gmsh, {f"Mesh.MeshSize{name}": value for name, value in sizes.items()}):
@@ -319,12 +319,11 @@ def name_groups(model: Any, name: str) -> None:
         )
 
 
-def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -> None:
+def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
     """Give each body its size of cells [length], and half of it at faces near another body.
 
-    The default is a sixth of the edge of a cube (in 2D a square) as large as the body. The sizes
-    are those of `read_gmsh`. The current model of Gmsh, with a name for error messages, has a group
-    for each body.
+    Bodies whose size is not given get a sixth of the root of their volume or area. The current
+    model of Gmsh, with a name for error messages, has a group for each body.
     """
     dim = model.getDimension()
     bodies = {
@@ -332,10 +331,7 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
         for tag, entity in _grouped_entities(model, dim)
     }
     names = list(dict.fromkeys(bodies.values()))
-    if isinstance(size, Mapping):
-        given = size
-    else:
-        given = {} if size is None else dict.fromkeys(names, size)
+    given = size if isinstance(size, Mapping) else dict.fromkeys(names, size)
     for body, value in given.items():
         if body not in names:
             raise InputError(

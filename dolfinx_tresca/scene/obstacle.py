@@ -255,14 +255,6 @@ class RigidObstacle:
 
         Raises:
             InputError: an argument is not a vector of finite numbers.
-
-        Example:
-            A ball that has rolled by a quarter of a turn along x.
-
-            >>> from math import pi
-            >>> from dolfinx_tresca import RigidSphere
-            >>> ball = RigidSphere(center=(0, 0, 1), radius=1)
-            >>> ball.move_to(translation=(pi / 2, 0, 0), rotation=(0, pi / 2, 0))
         """
         vector = _axial_vector("rotation", rotation)
         centre = self.centre if about is None else _coordinates("about", about)
@@ -296,13 +288,6 @@ class RigidObstacle:
 
         Raises:
             InputError: an argument is not a vector of finite numbers, or a name is unknown.
-
-        Example:
-            A punch that a force presses down, and that may tilt.
-
-            >>> from dolfinx_tresca import RigidPlane
-            >>> punch = RigidPlane(point=(0, 0, 1), normal=(0, 0, -1))
-            >>> punch.held_by(force=(0, 0, -500.0), free=("z", "rx", "ry"))
         """
         names = None if free is None else tuple(free)
         if isinstance(free, str) or not set(names or ()) <= set(FREEDOMS[3]):
@@ -359,13 +344,7 @@ class RigidObstacle:
 
 
 class RigidPlane(RigidObstacle):
-    """A rigid half-space behind a plane; in 2D a half-plane behind a line.
-
-    Example:
-        >>> from dolfinx_tresca import RigidPlane
-        >>> RigidPlane(point=(0, 0, 0), normal=(0, 0, 2))
-        <RigidPlane: a rigid plane through (0, 0, 0) with normal (0, 0, 1)>
-    """
+    """A rigid half-space behind a plane; in 2D a half-plane behind a line."""
 
     __slots__ = ()
 
@@ -394,13 +373,7 @@ class RigidPlane(RigidObstacle):
 
 
 class RigidSphere(RigidObstacle):
-    """A rigid ball, or the space around a spherical hole; in 2D a disc or the plane around it.
-
-    Example:
-        >>> from dolfinx_tresca import RigidSphere
-        >>> RigidSphere(center=(0, 0, -5), radius=5)
-        <RigidSphere: a rigid sphere around (0, 0, -5) of radius 5>
-    """
+    """A rigid ball, or the space around a spherical hole; in 2D a disc or the plane around it."""
 
     __slots__ = ()
 
@@ -436,11 +409,6 @@ class RigidCylinder(RigidObstacle):
     """A rigid infinite circular cylinder, or the space around a cylindrical hole, in 3D.
 
     In 2D the cross-section of a cylinder is a `RigidSphere`.
-
-    Example:
-        >>> from dolfinx_tresca import RigidCylinder
-        >>> RigidCylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=2, hollow=True)
-        <RigidCylinder: a rigid hollow cylinder through (0, 0, 0) along (0, 0, 1) of radius 2>
     """
 
     __slots__ = ()

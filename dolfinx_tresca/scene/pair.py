@@ -272,7 +272,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
 
 
 class _OnPair:
-    """Base class of goals, which checks their attributes."""
+    """Base class of goals; an attribute that is wrong raises an InputError."""
 
     pair: int
 
@@ -293,9 +293,6 @@ class NormalForce(_OnPair):
 
     Attributes:
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair.
     """
 
     pair: int = 0
@@ -308,16 +305,8 @@ class ContactForce(_OnPair):
     The force includes pressure and friction; see `ContactSolution.resultants`.
 
     Attributes:
-        direction: (d,) direction of the component, a vector of any length.
+        direction: (d,) direction of the component, a vector of any length but zero.
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or `direction` is not a nonzero vector.
-
-    Example:
-        >>> from dolfinx_tresca import ContactForce
-        >>> ContactForce(direction=(1, 0, 0))  # the component along x
-        ContactForce(direction=(1, 0, 0), pair=0)
     """
 
     direction: npt.ArrayLike
@@ -337,14 +326,6 @@ class MeanPressure(_OnPair):
         point: (d,) centre of the patch [length], on the secondary side or near it.
         radius: radius R of the patch [length].
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or the point or the radius is wrong.
-
-    Example:
-        >>> from dolfinx_tresca import MeanPressure
-        >>> MeanPressure(point=(0, 0, 0), radius=0.5)
-        MeanPressure(point=(0, 0, 0), radius=0.5, pair=0)
     """
 
     point: npt.ArrayLike
@@ -362,12 +343,8 @@ class MeanSlip(_OnPair):
     Attributes:
         point: (d,) centre of the patch [length], on the secondary side or near it.
         radius: radius of the patch [length].
-        direction: (d,) direction of the component, a vector of any length.
+        direction: (d,) direction of the component, a vector of any length but zero.
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or the point, the radius or the direction is
-            wrong.
     """
 
     point: npt.ArrayLike
@@ -384,11 +361,8 @@ class PressureNorm(_OnPair):
     For a given force the norm is smallest if the pressure is uniform.
 
     Attributes:
-        exponent: m, at least 1; the norm for m = 1 is the normal force.
+        exponent: m, finite and at least 1; the norm for m = 1 is the normal force.
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or the exponent is less than 1 or infinite.
     """
 
     exponent: float

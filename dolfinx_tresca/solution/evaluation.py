@@ -156,10 +156,10 @@ def evaluate(
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     states, steps, before, slip, nodal_results = node_values(dual, solution, r, increment)
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
-    dissipation, increment = float(dual.inner(x, slip)), increment * B.length_scale
+    dissipation = float(dual.inner(x, slip))
 
-    # fields, openings and nodal forces of each pair
-    stress, pairs = x * B.stress_scale, B.by_pair
+    # fields, openings and nodal forces of each pair, in physical units
+    stress, moved, pairs = x * B.stress_scale, increment * B.length_scale, B.by_pair
     fields: list[SurfaceFields] = []
     openings: list[float] = []
     forces: list[Array] = []
@@ -176,7 +176,7 @@ def evaluate(
             "normal": operators.normals,
         }
         if tangential_count > 0:
-            since = pair.nodal_vectors(increment)[:, 1:]
+            since = pair.nodal_vectors(moved)[:, 1:]
             values |= {"traction": tractions[:, 1:], "slip": before[nodes, :-1] + since}
             values |= {"slip_path": paths[nodes]}
             values |= {"slip_increment": since} if dual.history.begun else {}
@@ -388,10 +388,8 @@ def status_of_fields(
     balanced = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
     if requested.rtol is not None:
         as_requested = solution.residuals[-1] <= requested.rtol and requested != options
-    elif requested.balanced:  # by an estimate of the mesh's error, which the iteration knows
-        as_requested = False
-    else:
-        as_requested = error <= SLACK * float(requested.accuracy)
+    else:  # a balanced accuracy follows from the mesh's error, by which the iteration has judged
+        as_requested = not requested.balanced and error <= SLACK * float(requested.accuracy)
     if balanced and as_requested:
         return ContactStatus.CONVERGED
     return solution.status if ended_early else ContactStatus.STAGNATED

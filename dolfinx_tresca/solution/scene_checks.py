@@ -233,10 +233,8 @@ def hint_at_scene(
             facets = pair.facet_tags.find(pair.primary)
             nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
             sides.append(nodes[nodes < V.dofmap.index_map.size_local])
-        on_bodies = np.array(
-            [np.bincount(bodies.label[side], minlength=bodies.count) for side in sides]
-        )
-        touches = reduce_array(comm, on_bodies) > 0  # (sides, bodies)
+        counts = [np.bincount(bodies.label[side], minlength=bodies.count) for side in sides]
+        touches = reduce_array(comm, counts) > 0  # (sides, bodies)
         if len(sides) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
             warn(
                 comm,
@@ -260,10 +258,7 @@ def hint_at_overlap(
     jump: JumpOperator,
     surfaces: Sequence[SurfaceFields],
 ) -> None:
-    """Warn where prescribed displacements push the sides of pairs into each other. Collective.
-
-    The deepest of these nodes is named for each pair; see `SurfaceFields.gap`.
-    """
+    """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
     (extent,) = largest_abs(comm, points)
     rounding = ROUNDING * extent
