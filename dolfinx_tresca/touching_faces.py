@@ -195,15 +195,15 @@ def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
     for tag in sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist())))):
         facets = facet_tags.find(tag)
         facets = facets[facets < owned]
-        inside = int((~np.isin(facets, outside)).sum())
         nodes = fem.locate_dofs_topological(V, dim, facets, remote=False)
         # one minimum over the ranks for both corners of the box, the second one negated
         corners = [x[nodes].min(axis=0, initial=np.inf), -x[nodes].max(axis=0, initial=-np.inf)]
         low, negated_high = reduce_array(comm, corners, MPI.MIN)
         h = mesh.h(dim, facets) if len(facets) else np.zeros(0)
-        sizes, number, inside = reduce_array(comm, [h.sum(), float(len(h)), float(inside)])
+        outer = float(np.isin(facets, outside).sum())
+        sizes, number, outer = reduce_array(comm, [h.sum(), float(len(h)), outer])
         bodies = set().union(*comm.allgather(set(label[nodes].tolist())))
-        if number and not inside and len(bodies) == 1:
+        if len(bodies) == 1 and outer == number:
             result[tag] = _Face(bodies.pop(), np.vstack([low, -negated_high]), sizes / number)
         elif len(bodies) > 1:
             shared_tags.append(str(tag))

@@ -45,8 +45,8 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     links = np.unique(np.column_stack([fragment, label.array.astype(int)]), axis=0)
     links, total = gather_rows(comm, links), sum(counts)
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
-    _, body_of_fragment = connected_components(graph, directed=False)
-    body, count = body_of_fragment[fragment], int(body_of_fragment.max(initial=-1)) + 1
+    count, body_of_fragment = connected_components(graph, directed=False)
+    body = body_of_fragment[fragment]
 
     # sort the bodies by their boxes, and then by the least number of a node in the mesh file
     bounds = _extremes(comm, body, count, V.tabulate_dof_coordinates())
@@ -155,9 +155,8 @@ class Bodies:
         if companions:
             named = companions[:6]  # of walls of bricks there are many
             names = ", ".join(f"{k + 1}{tags[k]}" for k in named)
-            more = len(companions) - len(named)
             text += f", together with {'bodies' if len(companions) > 1 else 'body'} {names}"
-            text += f" and {more} more" * (more > 0)
+            text += f" and {len(companions) - 6} more" * (len(companions) > 6)
         return text
 
 

@@ -187,6 +187,7 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
         if closed:
             nodes = np.append(nodes, start)
             a, b = points[nodes[:-1], :2].T, points[nodes[1:], :2].T
+            # counterclockwise, with a positive area
             nodes = nodes if np.sum(a[0] * b[1] - b[0] * a[1]) > 0.0 else nodes[::-1]
         places = points[nodes]
         directions = np.gradient(places, axis=0)
@@ -241,10 +242,10 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
 
 @contextmanager
 def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
-    """Yield a plotter of pyvista; put the largest view of all that is drawn into a panel.
+    """Yield a plotter of pyvista, and at the end of the block put its view into a panel.
 
-    The view has no perspective, and arrows show the coordinate directions. The normal (3,) points
-    to the viewer, and `up` (3,) upward in the view.
+    The view is as large as possible, without perspective, and arrows show the coordinate
+    directions. The normal (3,) points to the viewer, and `up` (3,) upward in the view.
     """
     import pyvista
 
@@ -321,6 +322,7 @@ def draw_bodies(
     kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
     outline = surface.extract_feature_edges(40.0, **kinds)
     near = np.concatenate([bodies.points, faces.points])
+    # an obstacle of several pairs is drawn once
     obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
     legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
     with view_in(panel, normal, up) as plotter:
@@ -371,7 +373,7 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 
 
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
-    """Draw an obstacle near points (n, 3) of the bodies; return whether it is there to be drawn.
+    """Draw an obstacle near points (n, 3) of the bodies, and return whether any of it is there.
 
     In 2D (`flat`) all of it is drawn, in 3D its surface; sides that are seen from within the
     obstacle are transparent, so that they do not hide the points.
@@ -423,9 +425,10 @@ def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None
 
 
 def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None:
-    """Draw the facets that may touch, seen along their mean normal, or obliquely if closed.
+    """Draw a contact surface: pressures as colours, slips as arrows, sticking nodes as discs.
 
-    Others, such as the sides of a block whose whole boundary has the tag, would hide these.
+    It is seen along its mean normal or, if it is closed, obliquely. Facets that face nothing, such
+    as the sides of a block whose whole boundary has the tag, would hide the others, and are absent.
     """
     import pyvista
 

@@ -267,12 +267,7 @@ class Tresca(DryFriction):
     direction: VectorField | None = None
 
     def __post_init__(self) -> None:
-        """Check the types of the arguments.
-
-        Raises:
-            InputError: a bound is not a real scalar, or has no single value at a node; `direction`
-                is missing for two bounds, or given for one bound; or it is not a vector.
-        """
+        """Check the types of the arguments; an InputError is raised for other ones than above."""
         _check_bound(self.slip_bound, self.direction, self.constant_name)
 
     @property
@@ -345,11 +340,7 @@ class Coulomb(DryFriction):
     adhesion: ScalarField = 0.0
 
     def __post_init__(self) -> None:
-        """Check the types of the arguments.
-
-        Raises:
-            InputError: an argument is wrong, as for `Tresca`.
-        """
+        """Check the types of the arguments; an InputError is raised for other ones than above."""
         if curve_of(self.coefficient) is None or self.direction is not None:
             _check_bound(self.coefficient, self.direction, "the coefficient of friction")
         if self.limit is not None:

@@ -277,8 +277,9 @@ def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> 
 def name_groups(model: Any, name: str) -> None:
     """Put each body, and each face of a body, of a model without groups into a group of its own.
 
-    Names are the labels of the file; without, bodies are `body 1`, `body 2`, and faces of `pin` are
-    `pin/1`, `pin/2`. In 2D bodies are surfaces. The `name` of the model is for error messages.
+    Names are the labels in the file; without labels, bodies are `body 1`, `body 2`, and faces of
+    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces. A MeshError, with the `name` of the
+    model, is raised if faces belong to no body or to two.
     """
     dim, extent = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
     if dim < 2 or (dim == 2 and extent[2] > 1e-5 * extent.max()):  # boxes of OpenCASCADE are loose

@@ -12,12 +12,13 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, relative_change
 from dolfinx_tresca.options import SolverOptions
@@ -30,6 +31,7 @@ from dolfinx_tresca.solution.forces import (
     resultants_on,
 )
 from dolfinx_tresca.solvers.convergence import BALANCED, energy_norm, relative_error
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
@@ -327,15 +329,7 @@ def node_values(
     pressed = np.zeros(len(bonded), dtype=np.bool_)
     # strict inequality: a node without gap and without load is not pressed
     pressed[node_of_row] = bonded[node_of_row] | (target[normal] > 0.0)
-    # undecided: by less than `limit` of traction from the edge of the disc, or of pressure from 0
-    limit = max(change, EDGE * largest)
-    scale = np.ones(len(target_section.radius))
-    scale[target_section.node] = B.stress_scale[target_section.tangential]
-    has_circle = np.isfinite(target_section.radius) & (target_section.radius > 0.0)
-    radius = np.where(has_circle, target_section.radius, 0.0)
-    away = np.abs(target_section.norms(target) - radius) * scale
-    undecided = (has_circle & (away <= limit))[nodes]
-    undecided[node_of_row] |= np.abs(target * B.stress_scale)[normal] <= limit
+    undecided = _near_another_state(B, target_section, target, max(change, EDGE * largest))[nodes]
 
     # the first condition that a node meets is its state
     conditions = {
@@ -346,12 +340,12 @@ def node_values(
         ContactState.OPEN_STICK: has_friction & rubs & sticks,
         ContactState.OPEN_SLIP: has_friction & rubs,
     }
-    values = [float(state) for state in conditions]
-    states = np.select(list(conditions.values()), values, float(ContactState.OPEN))
+    states = np.select([*conditions.values()], [*map(float, conditions)], float(ContactState.OPEN))
     vectors = np.vstack(B.nodal_vectors(slip * B.length_scale))[:, 1:]
     slips_before = zip(B.pairs, dual.history.slipped, strict=True)
     before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
     path = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
+    # in the order of `NodeCounts`, without bonded nodes
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
     sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
@@ -361,6 +355,21 @@ def node_values(
         "bound_error": relative_change(bound_change, largest_bound),
     }
     return states, np.column_stack([vectors, path]), before, slip, results
+
+
+def _near_another_state(B: JumpOperator, section: FeasibleSet, x: Array, limit: float) -> Mask:
+    """Return for each disc whether a change of tractions x by `limit` [stress] changes the state.
+
+    The tractions are so near to the edge of their friction disc, or the pressure is so near to 0.
+    """
+    scale = np.ones(len(section.radius))
+    scale[section.node] = B.stress_scale[section.tangential]
+    has_circle = np.isfinite(section.radius) & (section.radius > 0.0)
+    radius = np.where(has_circle, section.radius, 0.0)
+    result: Mask = has_circle & (np.abs(section.norms(x) - radius) * scale <= limit)
+    normal = np.flatnonzero(~B.is_tangential)
+    result[B.row_nodes[normal]] |= np.abs(x * B.stress_scale)[normal] <= limit
+    return result
 
 
 def status_of_fields(

@@ -211,8 +211,8 @@ class Supports:
     def _rounding(self) -> float:
         """Return the size of rounding errors of the forces [force]. Collective.
 
-        If every second node moves against the others, the terms of an internal force add up and do
-        not cancel; 1e-10 of this sum is far above rounding, and far below a load.
+        They are below 1e-10 of the forces of a displacement as large as u whose sign changes from
+        node to node: there the terms of an internal force do not cancel. Loads are far above this.
         """
         u = self.u
         opposite = fem.Function(u.function_space)

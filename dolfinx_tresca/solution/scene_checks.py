@@ -260,8 +260,7 @@ def hint_at_overlap(
 ) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
-    (extent,) = largest_abs(comm, points)
-    rounding = ROUNDING * extent
+    rounding = ROUNDING * largest_abs(comm, points)[0]
     for pair, paired, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
