@@ -122,7 +122,7 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
 
 
 def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str, Any]]) -> None:
-    """Check that the ranks are in the same call and give it equal values. Collective.
+    """Raise an InputError unless all ranks are in the same call with equal values. Collective.
 
     Args:
         comm: the communicator.
@@ -189,7 +189,7 @@ def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
 
 
 def _text(value: Any) -> str:
-    """Return the text of a value that is compared as a whole."""
+    """Return the text by which ranks compare a value; values of Functions are not part of it."""
     number = real(value)
     if isinstance(value, bool | np.bool_ | str | bytes) or value is None:
         return repr(value)

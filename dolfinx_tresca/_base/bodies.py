@@ -66,9 +66,9 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
 def labels_of(
     V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return labels (n,) of nodes by global numbers, from those of owned nodes. Collective."""
+    """Return labels (n,) of any nodes by global numbers, from those of owned nodes. Collective."""
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
-    # ask the ranks that own the numbers, and send the answers back
+    # ask the ranks that own the nodes, and send the answers back
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
     return np.asarray(exchange(comm, label[asked - start], source)[0])

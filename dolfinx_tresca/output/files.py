@@ -267,7 +267,7 @@ class SolutionWriter:
 
     @collective(comm_of("solution"), ignored=("time",))
     def write(self, solution: Evaluation, time: float, *, fields: Sequence[Field] = ()) -> None:
-        """Add a solution. Collective.
+        """Add a solution to the series, as its last step. Collective.
 
         Args:
             solution: the solution that `ContactProblem.solve` returned.

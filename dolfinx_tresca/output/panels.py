@@ -68,7 +68,7 @@ class Contact:
 
 
 def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
-    """Return a whole surface on the first rank, None on other ranks. Collective.
+    """Return the surface of a pair, gathered on the first rank; None on others. Collective.
 
     A node that carries no multiplier, such as the tip of a crack or a prescribed node, is drawn as
     touching if all nodes beside it touch, and each of its facets has a node that carries one.

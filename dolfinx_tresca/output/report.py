@@ -79,7 +79,7 @@ class ProblemSummary:
     def from_system(
         cls, system: LinearSystem, pairs: Sequence[ContactPair], jump: JumpOperator
     ) -> ProblemSummary:
-        """Count cells, unknowns and contact nodes of a problem. Collective."""
+        """Count cells, unknowns and contact nodes, and find the range of each gap. Collective."""
         mesh, comm = system.V.mesh, system.comm
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
         operators = [rows.operators for rows in jump.by_pair]
@@ -107,7 +107,7 @@ class ProblemSummary:
         return cls(dofs, free_dofs, contact_nodes, size_rows, tuple(texts))
 
     def rows(self, units: Units | None) -> list[Row]:
-        """Return names and values."""
+        """Return the rows of the table: the sizes, and the first pairs."""
         pair_rows = [
             ("  pair", f"{pair}, {with_unit(gap, units, 'length')}, {law}")
             for pair, gap, law in self.pairs
@@ -136,7 +136,7 @@ def _may_be_zero(results: Evaluation) -> bool:
 
 
 def error_rows(results: Evaluation) -> list[Row]:
-    """Return the errors of the iteration and of the mesh."""
+    """Return the rows with the errors of the iteration, of slip bounds and of the mesh."""
     kind = "at most" if results.bound_is_rigorous else "about"
     bound = f"{kind} {results.energy_error_bound:.1e} of the solution's norm"
     if results.energy_error_bound == 0.0:

@@ -170,7 +170,7 @@ class GmshGeometry:
 
     @contextmanager
     def _model(self) -> Iterator[Any]:
-        """Yield the file's model of Gmsh."""
+        """Open the file, or the shapes, in Gmsh and yield the model."""
         with gmsh_session() as gmsh, tempfile.TemporaryDirectory() as folder:
             path = self.path
             if self.content is not None:

@@ -283,7 +283,7 @@ class Surface:
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
-    """Return slip vectors and paths (n, d + 1) [length] from another mesh, by pair. Collective.
+    """Return each pair's slip vectors and paths (n, d + 1) [length], from another mesh. Collective.
 
     They are interpolated on the nearest facets, between those of their nodes that carry
     multipliers. Linear fields are exact, for instance at the midpoints of edges, where refined
