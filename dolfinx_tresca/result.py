@@ -202,10 +202,7 @@ class ContactSolution(Evaluation, Tabulated):
         return self.surface.state
 
     def on_mesh(self, name: str) -> fem.Function:
-        """Return a field of the only pair on the problem's mesh, for forms. Collective.
-
-        See `SurfaceFields.on_mesh`; with several pairs take `surfaces[i].on_mesh`.
-        """
+        """Return a field of the only pair on the mesh; see `SurfaceFields.on_mesh`. Collective."""
         return self.surface.on_mesh(name)
 
     def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:

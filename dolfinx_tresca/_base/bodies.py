@@ -27,8 +27,8 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     On any number of ranks, bodies are sorted by their least x, then y, then z, then by their
     largest x, y and z, up to rounding, and finally by their order in the mesh file.
     """
-    mesh, nodes, cells = V.mesh, V.dofmap.index_map, V.dofmap.list
-    comm, node_count = mesh.comm, nodes.size_local + nodes.num_ghosts
+    comm, nodes, cells = V.mesh.comm, V.dofmap.index_map, V.dofmap.list
+    node_count = nodes.size_local + nodes.num_ghosts
     # a graph of nodes and cells, since a graph of nodes alone would have many times the edges
     cell = np.repeat(np.arange(node_count, node_count + len(cells)), cells.shape[1])
     shape = (node_count + len(cells),) * 2
@@ -47,20 +47,28 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
     count, body_of_fragment = connected_components(graph, directed=False)
     body = body_of_fragment[fragment]
+    return np.asarray(_places_of_bodies(V, body, count)[body])
 
-    # sort the bodies by their boxes, and then by the least number of a node in the mesh file
+
+def _places_of_bodies(V: Any, body: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:
+    """Return the place (count,) of each body in the order of `label_bodies`. Collective.
+
+    `body` (nodes,) is the body of each node of V on this rank, ghosts included.
+    """
+    # the box of each body, and the least number of its nodes in the mesh file
+    comm, geometry = V.mesh.comm, V.mesh.geometry
     bounds = _extremes(comm, body, count, V.tabulate_dof_coordinates())
-    in_file = np.asarray(mesh.geometry.input_global_indices)[geometry_dofmap(mesh)]
-    body_of_cell, least = body[cells[: len(in_file), 0]], in_file.min(axis=1, keepdims=True)
-    least_in_file = _extremes(comm, body_of_cell, count, least)[:, 0]
+    in_file = np.asarray(geometry.input_global_indices)[geometry_dofmap(V.mesh)]
+    body_of_cell = body[V.dofmap.list[: len(in_file), 0]]
+    least = _extremes(comm, body_of_cell, count, in_file.min(axis=1, keepdims=True))[:, 0]
     # places of coordinates among the sorted ones; steps that are rounding do not count
     places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
     for place, values in zip(places.T, bounds.T, strict=True):
         ascending = np.argsort(values)
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
         place[ascending] = np.cumsum(steps > rounding)
-    place_of_body = np.argsort(np.lexsort([least_in_file, *places.T[::-1]]))
-    return np.asarray(place_of_body[body])
+    # the last key of lexsort counts first; argsort inverts the order
+    return np.asarray(np.argsort(np.lexsort([least, *places.T[::-1]])))
 
 
 def labels_of(

@@ -281,11 +281,9 @@ class SolutionWriter:
         grids, comm = grids_of(solution, fields), solution.comm
         time, path = comm.bcast((time, str(self._path)), root=ROOT)
         if not isinstance(time, Real) or not self._latest_time < time < math.inf:
-            beyond = f" above {self._latest_time:g}, the last one"
-            raise InputError(
-                f"time must be a number{beyond if self._latest_time > -math.inf else ''}, "
-                f"found {time!r}."
-            )
+            latest = self._latest_time
+            beyond = f" above {latest:g}, the last one" if latest > -math.inf else ""
+            raise InputError(f"time must be a number{beyond}, found {time!r}.")
         self._path = Path(path)
         with errors_on_all_ranks(comm), file_named_in_errors(self._path):
             if comm.rank == ROOT:

@@ -43,11 +43,7 @@ class Resultant:
     point: Array
 
     def about(self, point: npt.ArrayLike) -> Resultant:
-        """Return the resultant about another point (d,). Not collective.
-
-        Raises:
-            InputError: the point does not have d finite coordinates.
-        """
+        """Return the resultant about another point, d finite coordinates. Not collective."""
         centre = checked_vector("the point of a moment", point, len(self.point))
         return Resultant(self.force, self.moment + moments(self.point - centre, self.force), centre)
 
