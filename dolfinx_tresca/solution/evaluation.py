@@ -154,8 +154,6 @@ def evaluate(
     closing = np.concatenate(B.closings(u))
     closing[B.row_nodes[normal]] += (by_tools * B.length_scale)[normal]
     increment = jump + by_tools - dual.offset
-    origin = dual.history.origin.copy()  # the next step starts from where tools are now
-    origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     states, steps, before, slip, nodal_results = node_values(dual, solution, r, increment)
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
     dissipation = float(dual.inner(x, slip))
@@ -177,7 +175,7 @@ def evaluate(
             "state": states[nodes],
             "normal": operators.normals,
         }
-        if tangential_count > 0:
+        if tangential_count > 0:  # on any rank
             since = pair.nodal_vectors(moved)[:, 1:]
             values |= {"traction": tractions[:, 1:], "slip": before[nodes, :-1] + since}
             values |= {"slip_path": paths[nodes]}
@@ -188,6 +186,8 @@ def evaluate(
     pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
 
     # results of the whole scene
+    origin = dual.history.origin.copy()  # the next step starts from where tools are now
+    origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
