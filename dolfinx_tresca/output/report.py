@@ -162,7 +162,7 @@ def contact_rows(
     """
     counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
     dim = 3 if results.axisymmetric else dim  # forces on whole rings
-    scale = 0.0 if _may_be_zero(results) else 1.0  # relative errors leave rounding all its digits
+    scale = 0.0 if _may_be_zero(results) else 1.0  # values that may be rounding are shown as zero
     has_friction = any(surface.traction is not None for surface in results.surfaces)
     has_history = any(surface.slip_increment is not surface.slip for surface in results.surfaces)
 

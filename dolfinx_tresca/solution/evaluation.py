@@ -133,8 +133,7 @@ def evaluate(
     With `estimate`, the error of the mesh is estimated, too.
 
     Returns:
-        the results; and the slip history after this solution, for the case that it is accepted as a
-        load step.
+        the results; and the slip history that follows if this solution becomes a load step.
     """
     # the displacement that belongs to the multipliers x and c, the gradient r, and their errors
     B, comm, x, c = dual.jump, dual.jump.comm, solution.multipliers, solution.c

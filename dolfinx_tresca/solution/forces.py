@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
-from dolfinx_tresca._base.parallel import largest_abs, reduce_array
+from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -123,19 +123,21 @@ def resultants_between(
     # sum force, moment about the origin, weighted place and weight for each two bodies
     rows = np.hstack([on_lower, moments(places, on_lower), weights * places, weights])
     acts = weights[:, 0] > 0.0  # not within a body
-    bodies = np.column_stack([np.minimum(on, by), np.maximum(on, by)])[acts]
-    own_bodies, index = np.unique(bodies, axis=0, return_inverse=True)
-    own_sums = np.zeros((len(own_bodies), rows.shape[1]))
-    np.add.at(own_sums, index.ravel(), rows[acts])
+    bodies = np.column_stack([np.minimum(on, by), np.maximum(on, by)])
 
-    sums: dict[tuple[int, int], Array] = {}
-    for bodies_of_rank, sums_of_rank in comm.allgather((own_bodies.tolist(), own_sums)):
-        for (i, j), row in zip(bodies_of_rank, sums_of_rank, strict=True):
-            sums[i, j] = sums[i, j] + row if (i, j) in sums else row
+    def summed(bodies: npt.NDArray[Any], rows: Array) -> tuple[npt.NDArray[Any], Array]:
+        """Return the different rows of bodies (n, 2), ascending, and the sums of their rows."""
+        different, index = np.unique(bodies, axis=0, return_inverse=True)
+        sums = np.zeros((len(different), rows.shape[1]))
+        np.add.at(sums, index.ravel(), rows)
+        return different, sums
+
+    own = summed(bodies[acts], rows[acts])
+    both, sums = summed(*(gather_rows(comm, array) for array in own))
     origin, result = np.zeros(dim), {}
-    for both, row in sorted(sums.items()):
+    for (i, j), row in zip(both.tolist(), sums, strict=True):
         force, moment, place = np.split(row[:-1], [dim, len(row) - dim - 1])
-        result[both] = Resultant(force, moment, origin).about(place / row[-1])
+        result[i, j] = Resultant(force, moment, origin).about(place / row[-1])
     return result
 
 
