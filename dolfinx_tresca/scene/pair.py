@@ -369,7 +369,6 @@ class PressureNorm(_OnPair):
     pair: int = 0
 
 
-#: All goals.
 Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip | PressureNorm
 
 

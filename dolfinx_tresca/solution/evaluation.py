@@ -73,7 +73,7 @@ class NodeCounts:
 
 
 class PairState(NamedTuple):
-    """How far a pair is closed; `opening` is by how much its sides have moved apart at most."""
+    """How many `nodes` of a pair are `pressed`, and its `opening`; see `ContactSolution`."""
 
     pressed: int
     nodes: int

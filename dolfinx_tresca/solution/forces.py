@@ -149,6 +149,7 @@ class Supports:
         residual: internal minus external forces at u, a form of rank 1.
         u: the displacement in this form; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
+        facet_tags: tags of the surfaces on which supports may be.
     """
 
     residual: ufl.Form

@@ -31,7 +31,7 @@ from dolfinx_tresca.solvers.feasible_set import FrictionCones
 
 
 class Limit(NamedTuple):
-    """The values of a measure above which it is noticed in the log, and above which theory ends."""
+    """The value of a measure from which it is `noticed` in the log, and the `largest` in theory."""
 
     noticed: float
     largest: float
