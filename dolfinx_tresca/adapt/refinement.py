@@ -184,13 +184,11 @@ def snapped(
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets (m, d) moved to their surfaces. Collective.
 
-    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. The nodes of a cell that
-    would become flat or inverted do not move: a warning is logged, and the next refinement tries
-    again, with smaller cells.
+    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. Nodes of cells that would
+    become flat do not move.
     """
-    mesh, cells = bisection.mesh, bisection.nodes
+    mesh, surface = bisection.mesh, bisection.mesh.geometry.x.copy()
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
-    start = surface = mesh.geometry.x.copy()
     for tag, exact in surfaces.items():
         nodes = np.unique(facets[tags == tag])
         if reduce_array(comm, len(nodes)) == 0:
@@ -200,12 +198,22 @@ def snapped(
         # another rank may know of a node, but of none of its facets
         sums = summed_at_nodes(index_map, nodes, np.column_stack([target, np.ones(len(nodes))]))
         surface = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), surface)
+    return _without_flat_cells(bisection, surface)
+
+
+def _without_flat_cells(bisection: Bisection, surface: Array) -> Array:
+    """Return the nodes (n, 3) on surfaces; those of flat or inverted cells stay in place.
+
+    Collective. A warning has their number; the next refinement, with smaller cells, tries again.
+    """
+    mesh, cells, start = bisection.mesh, bisection.nodes, bisection.mesh.geometry.x
+    comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
 
     def volumes(points: Array) -> Array:
         sides = points[cells[:, 1:]] - points[cells[:, :1]]
         return np.asarray(np.linalg.det(sides[:, :, :dim]))
 
-    # hold the corners of cells that would become flat, until there are no more such cells
+    # hold the corners of such cells in place, which may make others flat, until there are none
     held: Mask = np.zeros(len(start), dtype=np.bool_)
     points, before = surface, volumes(start)
     while True:

@@ -80,22 +80,22 @@ class ProblemSummary:
         cls, system: LinearSystem, pairs: Sequence[ContactPair], jump: JumpOperator
     ) -> ProblemSummary:
         """Count cells, unknowns and contact nodes, and find the range of each gap. Collective."""
-        mesh, comm = system.V.mesh, system.comm
+        mesh, comm, by_pair = system.V.mesh, system.comm, jump.by_pair
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
-        operators = [rows.operators for rows in jump.by_pair]
         own = [int(system.moves.sum()), sum(len(pair.nodes) for pair in jump.pairs)]
-        counts = reduce_array(comm, [*own, *(len(pair.nodes) for pair in operators)])
+        own += [len(rows.nodes) for rows in by_pair]
+        free_dofs, contact_nodes, *counts = reduce_array(comm, own).tolist()
         texts = []
-        for pair, pair_operators, nodes in zip(pairs, operators, counts[2:], strict=True):
+        for pair, rows, nodes in zip(pairs, by_pair, counts, strict=True):
             kind = "mortar" if pair.obstacle is None else "obstacle"
-            distance = pair_operators.gap
-            distance = np.where(np.abs(distance) > 1e-12 * pair_operators.sizes, distance, 0.0)
+            distance, rounding = rows.operators.gap, 1e-12 * rows.operators.sizes
+            distance = np.where(np.abs(distance) > rounding, distance, 0.0)
             extremes = distance.min(initial=np.inf), (-distance).min(initial=np.inf)
             least, negated = reduce_array(comm, extremes, MPI.MIN)
             gap = f"gap {least:.3g}" + f" to {-negated:.3g}" * bool(least != -negated)
             texts.append((f"{pair}, {kind}: {nodes} nodes", gap, pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
-        free_dofs, contact_nodes = int(counts[0]), int(counts[1])
+
         kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
         count = system.negative_pivots
         beside = f", beside {count} unknowns of other kinds" if count else ""
@@ -116,10 +116,7 @@ class ProblemSummary:
 
 
 def figures(values: npt.ArrayLike, error: float) -> str:
-    """Return the text of a number or a vector, with the digits that its relative error justifies.
-
-    These are 1 to 8 digits of the largest component; the other components have the same places.
-    """
+    """Return a number or a vector with as many digits, 1 to 8, as its relative error justifies."""
     digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
     largest = float(np.abs(values).max())
     places = digits - 1 - int(np.floor(np.log10(largest))) if 0.0 < largest < np.inf else 0
@@ -285,9 +282,7 @@ def force_graph(solution: Any) -> str:
     forces |= {(body, len(names) - 1): force for body, force in enumerate(by_obstacles)}
     lengths = {bodies: float(np.linalg.norm(force)) for bodies, force in forces.items()}
     largest = max(lengths.values())
-    lengths = {
-        bodies: length for bodies, length in lengths.items() if length > SHOWN_FORCE * largest
-    }
+    lengths = {ends: length for ends, length in lengths.items() if length > SHOWN_FORCE * largest}
     shown = sorted({body for bodies in lengths for body in bodies})
     if not 0 < len(shown) <= MOST_BODIES:
         return ""

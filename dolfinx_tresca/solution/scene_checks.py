@@ -301,8 +301,7 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, eigenvalue: flo
     # the mean decrease of bounds from rest to the present slip
     at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x).radius
     slips = face.slip & (cones.slip > 0.0)
-    mean = np.zeros_like(by_slip)
-    np.divide(section.radius - at_rest, cones.slip, out=mean, where=slips)
+    mean = np.divide(section.radius - at_rest, cones.slip, out=np.zeros_like(by_slip), where=slips)
     steepest = min(by_slip.min(initial=0.0), mean.min(initial=0.0))
     least = [by_pressure.min(initial=0.0), eigenvalue * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
