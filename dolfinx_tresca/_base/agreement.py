@@ -53,12 +53,12 @@ def collective(
 
         @functools.wraps(function)
         def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-            # `bind`, which raises for missing and for unknown arguments, is left to `values`
             comm = find_comm(dict(zip(signature.parameters, args, strict=False)) | kwargs)
             if comm is None and _comms:
                 comm = _comms[-1]
 
             def values() -> dict[str, Any]:
+                """Return name -> value; raise a TypeError for missing and for unknown arguments."""
                 bound = signature.bind(*args, **kwargs)
                 bound.apply_defaults()
                 given = bound.arguments
