@@ -105,15 +105,16 @@ class ProgressBar:
             self._end_line()
             self._progress, self._start = 0.0, time.perf_counter()
         if newton is not None:
+            # the last hundredth of the bar is kept for the end of Newton's method
             done, residual = newton.ended, newton.residual
             self._progress = newton.fraction if done else 0.99 * newton.fraction
             text = f"of load, Newton step {newton.number}"
         else:
-            done, residual = iteration.reached <= iteration.wanted, iteration.residual
-            progress = 1.0
-            if not done:
-                progress = math.log(min(iteration.reached, 1.0)) / math.log(iteration.wanted)
-            # the stopping criterion may change during a solve
+            reached, wanted = iteration.reached, iteration.wanted
+            done, residual = reached <= wanted, iteration.residual
+            # the fraction of the digits
+            progress = 1.0 if done else math.log(min(reached, 1.0)) / math.log(wanted)
+            # the stopping criterion may change during a solve, but the bar does not go back
             self._progress = max(self._progress, progress)
             text = f"iteration {iteration.number}, {iteration.products} products"
             if configuration is not None:

@@ -80,7 +80,7 @@ class SolverOptions:
     geometry_accuracy: float = 1e-4
 
     def __post_init__(self) -> None:
-        """Check every value."""
+        """Check every value, and convert numbers to int or float."""
         check_word("method", self.method, get_args(Method))
         vars(self).update(max_iterations=checked_integer("max_iterations", self.max_iterations))
         names = ["local_accuracy", "mesh_part", "r_tol", "c_fact", "geometry_accuracy"]
@@ -108,7 +108,7 @@ class SolverOptions:
         return replace(self, **given)
 
     def at_least(self, accuracy: float) -> SolverOptions:
-        """Return a copy whose `rtol` or `accuracy` is at most a value, but not if balanced."""
+        """Return options whose `rtol`, or else `accuracy` if a number, is at most a value."""
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
         if self.accuracy == "balanced":

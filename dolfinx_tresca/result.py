@@ -164,11 +164,7 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def surface(self) -> SurfaceFields:
-        """The fields of the only pair.
-
-        Raises:
-            ContactError: the problem has several pairs: take `surfaces[i]`.
-        """
+        """The fields of the only pair; with several pairs, a ContactError: take `surfaces[i]`."""
         if len(self.surfaces) != 1:
             raise ContactError(
                 f"there are {len(self.surfaces)} pairs: take surfaces[i] of one of them."
@@ -206,10 +202,7 @@ class ContactSolution(Evaluation, Tabulated):
         return self.surface.state
 
     def on_mesh(self, name: str) -> fem.Function:
-        """Return a field of the only pair on the problem's mesh, for forms. Collective.
-
-        See `SurfaceFields.on_mesh`; with several pairs take `surfaces[i].on_mesh`.
-        """
+        """Return a field of the only pair on the mesh; see `SurfaceFields.on_mesh`. Collective."""
         return self.surface.on_mesh(name)
 
     def resultants(self, point: npt.ArrayLike | None = None) -> tuple[Resultant, ...]:
@@ -394,6 +387,7 @@ class ContactSolution(Evaluation, Tabulated):
                     new.write_text(page(self, steps, picture), encoding="utf-8")
 
     def _rows(self) -> list[Row]:
+        """Return the rows of the table; phases of less than a twentieth of the time are omitted."""
         converged = self.status is ContactStatus.CONVERGED
         work = f"{self.iterations}, {self.products} products with A"
         if self.krylov_iterations:

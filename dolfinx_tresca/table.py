@@ -36,8 +36,6 @@ class Units:
         >>> from dolfinx_tresca import Units
         >>> Units("mm", "MPa", force="N").of("energy")
         'N mm'
-        >>> Units("m", "Pa").of("force", dim=2)
-        'Pa m'
     """
 
     length: str
@@ -58,7 +56,8 @@ class Units:
 
         Args:
             quantity: quantity whose unit is returned, such as "stress".
-            dim: dimension of space; in 2D, forces and energies are per unit of thickness.
+            dim: dimension of space, 3 for axisymmetric bodies; in 2D, forces and energies are per
+                unit of thickness.
         """
         if quantity == "length":
             return self.length

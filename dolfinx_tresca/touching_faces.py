@@ -108,19 +108,13 @@ def contacts(
     Raises:
         InputError: an argument is wrong.
         MeshError: no faces of different bodies are near each other.
-
-    Example:
-        >>> from mpi4py import MPI
-        >>> from dolfinx_tresca import MESHES, Coulomb, contacts, read_gmsh
-        >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
-        >>> contacts(bricks, friction=Coulomb(0.3))
-        [<ContactPair: lower_contact on upper_contact, coefficient of friction 0.3>]
     """
     check_type("tagged", tagged, TaggedMesh, "the result of read_gmsh")
     limit = None if distance is None else checked_number("distance", distance)
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
     faces = _faces(V, facet_tags)
+    # for each body its tags, the mean size of its facets, and how far away the other bodies are
     tags_of_body: dict[int, list[int]] = {}
     for tag, face in faces.items():
         tags_of_body.setdefault(face.body, []).append(tag)
@@ -128,16 +122,19 @@ def contacts(
         body: float(np.mean([faces[tag].size for tag in tags]))
         for body, tags in tags_of_body.items()
     }
+    if len(sizes) == 1:
+        raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
+    distances = {body: np.inf for body in sizes}
     pairs: list[ContactPair] = []
     measures: dict[tuple[int, int], TouchingFaces] = {}
-    distances = {body: np.inf for body in sizes}  # of boxes of faces, to other bodies
-    reach = 0.0
+    reach = 0.0  # the largest of the distances up to which faces are a pair
     for tags in combinations(faces, 2):
         bodies, boxes, _ = zip(*(faces[tag] for tag in tags), strict=True)
         if bodies[0] == bodies[1]:
             continue
         near = min(sizes[body] for body in bodies) if limit is None else limit
         reach = max(reach, near)
+        # distance of the boxes, from how far they are apart along each axis
         apart = np.maximum(boxes[0][0] - boxes[1][1], boxes[1][0] - boxes[0][1])
         away = float(np.linalg.norm(np.maximum(apart, 0.0)))
         for body in bodies:
@@ -151,8 +148,7 @@ def contacts(
         if touch is not None:
             pairs.append(pair)
             measures[pair.secondary, pair.primary] = touch
-    if len(sizes) == 1:
-        raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
+    # warn of bodies that touch no other body; without any contact this is an error
     touching = {faces[tag].body for tags in measures for tag in tags}
     for body in sorted(sizes.keys() - touching):
         names = abridged_names(tags_of_body[body], facet_tags)
@@ -168,12 +164,15 @@ def contacts(
 
 
 def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
-    """Return the measures of a pair's faces where they are near; None if nowhere. Collective."""
+    """Return the measures of a pair's faces where they are less than `near` apart, else None.
+
+    The faces are paired as in a problem, but without prescribed displacements. Collective.
+    """
     limited = replace(pair, pairing="auto", search_distance=near, sliding="small", gap=None)
-    free = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
+    prescribed = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
     try:
         with each_warning_once():
-            operators = pair_surfaces(V, free, limited)
+            operators = pair_surfaces(V, prescribed, limited)
     except PairingError:
         return None
     depth = float(reduce_array(V.mesh.comm, -operators.gap.min(initial=np.inf), MPI.MAX))
@@ -182,7 +181,10 @@ def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
 
 
 def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
-    """Return tag -> face, for tags of outer facets of one body; log tags of several. Collective."""
+    """Return tag -> face, for tags of outer facets of one body. Collective.
+
+    Tags of facets inside of a body are ignored, and tags of several bodies are logged.
+    """
     mesh, label = V.mesh, label_bodies(V)
     comm, dim, x = mesh.comm, facet_tags.dim, V.tabulate_dof_coordinates()
     mesh.topology.create_connectivity(dim, dim + 1)
@@ -193,15 +195,16 @@ def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
     for tag in sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist())))):
         facets = facet_tags.find(tag)
         facets = facets[facets < owned]
-        inside = int((~np.isin(facets, outside)).sum())
         nodes = fem.locate_dofs_topological(V, dim, facets, remote=False)
+        # one minimum over the ranks for both corners of the box, the second one negated
         corners = [x[nodes].min(axis=0, initial=np.inf), -x[nodes].max(axis=0, initial=-np.inf)]
-        low, high = reduce_array(comm, corners, MPI.MIN)
+        low, negated_high = reduce_array(comm, corners, MPI.MIN)
         h = mesh.h(dim, facets) if len(facets) else np.zeros(0)
-        length, number, inside = reduce_array(comm, [h.sum(), float(len(h)), float(inside)])
+        outer = float(np.isin(facets, outside).sum())
+        sizes, number, outer = reduce_array(comm, [h.sum(), float(len(h)), outer])
         bodies = set().union(*comm.allgather(set(label[nodes].tolist())))
-        if number and not inside and len(bodies) == 1:
-            result[tag] = _Face(bodies.pop(), np.vstack([low, -high]), length / number)
+        if len(bodies) == 1 and outer == number:
+            result[tag] = _Face(bodies.pop(), np.vstack([low, -negated_high]), sizes / number)
         elif len(bodies) > 1:
             shared_tags.append(str(tag))
     if shared_tags:

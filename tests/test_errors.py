@@ -23,6 +23,7 @@ from dolfinx_tresca import (
     ContactProblem,
     ContactState,
     ContactStatus,
+    Frictionless,
     InputError,
     PairingError,
     RigidObstacle,
@@ -502,6 +503,21 @@ def test_the_same_surfaces_in_two_pairs(scene):
     for pairs in ([scene.pair, scene.pair], [scene.pair, swapped], [scene.pair, listed]):
         with pytest.raises(InputError, match="two pairs are between the surfaces"):
             ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs)
+
+
+def test_pairs_on_tags_that_use_the_same_numbers(scene):
+    """Two MeshTags may have the same number for different surfaces, which are then two pairs."""
+    tags, ends = scene.facet_tags, [scene.tags["lower_free_end"], scene.tags["upper_free_end"]]
+    values = np.where(tags.values == ends[1], ends[0], 99).astype(np.int32)
+    renumbered = dolfinx.mesh.meshtags(scene.mesh, tags.dim, tags.indices, values)
+    around = RigidSphere(center=(1, 0.5, 1), radius=3, hollow=True)
+    gaps = []
+    for surfaces in ([(tags, ends[0]), (tags, ends[1])], [(tags, ends[0]), (renumbered, ends[0])]):
+        pairs = [ContactPair(*surface, around, Frictionless()) for surface in surfaces]
+        with ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs) as problem:
+            gaps.append([fields.gap.x.array for fields in problem.solve().surfaces])
+    for of_ends, of_numbers in zip(*gaps, strict=True):
+        np.testing.assert_array_equal(of_ends, of_numbers)
 
 
 @pytest.mark.parametrize("name", ["a", "L"])

@@ -58,6 +58,7 @@ def collective(
                 comm = _comms[-1]
 
             def values() -> dict[str, Any]:
+                """Return name -> value; raise a TypeError for missing and for unknown arguments."""
                 bound = signature.bind(*args, **kwargs)
                 bound.apply_defaults()
                 given = bound.arguments
@@ -84,7 +85,10 @@ comm_of_self = comm_of("self")
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return a communicator, or that of a value or of its mesh; None if there is none."""
+    """Return the communicator of a value: itself, its own or its mesh's; None without one.
+
+    Of a list, and of the arguments of a form, it is the first communicator.
+    """
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
     if isinstance(value, ufl.Form):
@@ -118,13 +122,14 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
 
 
 def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str, Any]]) -> None:
-    """Check that the ranks are in the same call and give it equal values. Collective.
+    """Raise an InputError unless all ranks are in the same call with equal values. Collective.
 
     Args:
         comm: the communicator.
         where: the name of the call.
         values: function that returns name -> value; its exception on one rank is raised on all.
     """
+    # a communicator of the same processes serves again, and becomes the last entry
     same = (MPI.IDENT, MPI.CONGRUENT)
     numbers = [k for k, own in enumerate(_comms) if MPI.Comm.Compare(own, comm) in same]
     _comms.append(_comms.pop(numbers[0]) if numbers else comm.Dup())
@@ -139,7 +144,10 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
 
 
 def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputError:
-    """Return an error for the first difference between the calls of ranks, and texts of values."""
+    """Return an error that tells how the first rank that differs from rank 0 does so.
+
+    `rank_texts` has for each rank the name of its call, and name -> text of the values.
+    """
     expected_place, expected = rank_texts[0]
     rank, (where, texts) = next(
         item for item in enumerate(rank_texts) if item[1] != (expected_place, expected)
@@ -181,7 +189,7 @@ def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
 
 
 def _text(value: Any) -> str:
-    """Return the text of a value that is compared as a whole."""
+    """Return the text by which ranks compare a value; values of Functions are not part of it."""
     number = real(value)
     if isinstance(value, bool | np.bool_ | str | bytes) or value is None:
         return repr(value)

@@ -24,7 +24,7 @@ def checked_number(name: str, value: Any, interval: str = "(0, inf)") -> float:
     """Return a number in an interval, such as "(0, 1]"; raise an InputError for other values."""
     number = real(value)
     low, high = map(float, interval[1:-1].split(","))
-    is_excluded = {low: interval[0] == "(", high: interval[-1] == ")"}
+    is_excluded = {low: interval[0] == "(", high: interval[-1] == ")"}  # for both ends
     if number is None or not low <= number <= high or is_excluded.get(number, False):
         wanted = _IN_WORDS.get(interval, f"a number in {interval}")
         raise InputError(f"{name} must be {wanted}, found {shown(value)}.")

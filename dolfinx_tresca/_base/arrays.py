@@ -13,7 +13,6 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
-#: A matrix, dense or sparse.
 Matrix: TypeAlias = Array | csr_array
 
 #: Integer types with which DOLFINx numbers nodes, cells, facets or rows. Local numbers are those on

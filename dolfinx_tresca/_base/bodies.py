@@ -27,8 +27,8 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     On any number of ranks, bodies are sorted by their least x, then y, then z, then by their
     largest x, y and z, up to rounding, and finally by their order in the mesh file.
     """
-    mesh, nodes, cells = V.mesh, V.dofmap.index_map, V.dofmap.list
-    comm, node_count = mesh.comm, nodes.size_local + nodes.num_ghosts
+    comm, nodes, cells = V.mesh.comm, V.dofmap.index_map, V.dofmap.list
+    node_count = nodes.size_local + nodes.num_ghosts
     # a graph of nodes and cells, since a graph of nodes alone would have many times the edges
     cell = np.repeat(np.arange(node_count, node_count + len(cells)), cells.shape[1])
     shape = (node_count + len(cells),) * 2
@@ -45,36 +45,48 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     links = np.unique(np.column_stack([fragment, label.array.astype(int)]), axis=0)
     links, total = gather_rows(comm, links), sum(counts)
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
-    _, body_of_fragment = connected_components(graph, directed=False)
-    body, count = body_of_fragment[fragment], int(body_of_fragment.max(initial=-1)) + 1
+    count, body_of_fragment = connected_components(graph, directed=False)
+    body = body_of_fragment[fragment]
+    return np.asarray(_places_of_bodies(V, body, count)[body])
 
+
+def _places_of_bodies(V: Any, body: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:
+    """Return the place (count,) of each body in the order of `label_bodies`. Collective.
+
+    `body` (nodes,) is the body of each node of V on this rank, ghosts included.
+    """
+    # the box of each body, and the least number of its nodes in the mesh file
+    comm, geometry = V.mesh.comm, V.mesh.geometry
     bounds = _extremes(comm, body, count, V.tabulate_dof_coordinates())
-    in_file = np.asarray(mesh.geometry.input_global_indices)[geometry_dofmap(mesh)]
-    body_of_cell, least = body[cells[: len(in_file), 0]], in_file.min(axis=1, keepdims=True)
-    least_in_file = _extremes(comm, body_of_cell, count, least)[:, 0]
+    in_file = np.asarray(geometry.input_global_indices)[geometry_dofmap(V.mesh)]
+    body_of_cell = body[V.dofmap.list[: len(in_file), 0]]
+    least = _extremes(comm, body_of_cell, count, in_file.min(axis=1, keepdims=True))[:, 0]
     # places of coordinates among the sorted ones; steps that are rounding do not count
     places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
     for place, values in zip(places.T, bounds.T, strict=True):
         ascending = np.argsort(values)
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
         place[ascending] = np.cumsum(steps > rounding)
-    place_of_body = np.argsort(np.lexsort([least_in_file, *places.T[::-1]]))
-    return np.asarray(place_of_body[body])
+    # the last key of lexsort counts first; argsort inverts the order
+    return np.asarray(np.argsort(np.lexsort([least, *places.T[::-1]])))
 
 
 def labels_of(
     V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return labels (n,) of nodes by global numbers, from those of owned nodes. Collective."""
+    """Return labels (n,) of any nodes by global numbers, from those of owned nodes. Collective."""
     comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
-    # ask the ranks that own the numbers, and send the answers back
+    # ask the ranks that own the nodes, and send the answers back
     owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
     asked, source = exchange(comm, numbers, owners)
     return np.asarray(exchange(comm, label[asked - start], source)[0])
 
 
 def _extremes(comm: MPI.Comm, body: npt.NDArray[Any], count: int, values: Array) -> Array:
-    """Return the least values of each body, and then the largest (count, 2 k). Collective."""
+    """Return (count, 2 k): for each body the least of its values (n, k), then the largest.
+
+    `body` (n,) is the body of each row. A body without rows has inf, and then -inf. Collective.
+    """
     k = values.shape[1]
     ranges: Array = np.full((count, 2 * k), np.inf)
     np.minimum.at(ranges, body, np.hstack([values, -values]))
@@ -105,7 +117,7 @@ class Bodies:
 
     @classmethod
     def from_space(cls, V: Any, cell_tags: Any = None) -> Bodies:
-        """Find the bodies of a mesh, which `NamedTags` of its cells, if any, name. Collective."""
+        """Find the bodies of V's mesh; `NamedTags` of its cells name them. Collective."""
         label = label_bodies(V)
         count = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
         bounds = _extremes(V.mesh.comm, label, count, V.tabulate_dof_coordinates())
@@ -130,8 +142,8 @@ class Bodies:
     def rigid_modes(self, dim: int) -> csr_array:
         """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
 
-        Translations come first, then rotations about the centre, as `RigidBodyModes.describe` has
-        them.
+        Each body has first its translations by 1 along the axes, then its rotations about the
+        centre of its box, by the angle 1 / (diagonal of the box) about the axes, in 2D about z.
         """
         translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
         rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
@@ -142,7 +154,7 @@ class Bodies:
         return csr_array((modes[mode, node, component], entries), shape=shape)
 
     def describe(self, index: int, companions: Sequence[int] = ()) -> str:
-        """Return number, name and box of a body, and the names of its companions, in words."""
+        """Return a text with number, name and box of a body, and with bodies that move with it."""
         box = self.bounds[index]
         diagonal = float(np.linalg.norm(box[3:] - box[:3]))
         tags = [f" ({name})" if name else "" for name in self.tag_names]
@@ -151,9 +163,8 @@ class Bodies:
         if companions:
             named = companions[:6]  # of walls of bricks there are many
             names = ", ".join(f"{k + 1}{tags[k]}" for k in named)
-            more = len(companions) - len(named)
             text += f", together with {'bodies' if len(companions) > 1 else 'body'} {names}"
-            text += f" and {more} more" * (more > 0)
+            text += f" and {len(companions) - 6} more" * (len(companions) > 6)
         return text
 
 

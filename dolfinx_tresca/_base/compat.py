@@ -36,8 +36,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, rank: int) -> tuple[Any, Any, Any]
     """Distribute the Gmsh model of one rank; return mesh, cell tags and facet tags. Collective."""
     # DOLFINx' default is gdim=3, even for plane models
     dim = comm.bcast(model.getDimension() if comm.rank == rank else None, root=rank)
-    mesh, cell_tags, facet_tags = _gmsh_reader.model_to_mesh(model, comm, rank, gdim=dim)[:3]
-    return mesh, cell_tags, facet_tags
+    return tuple(_gmsh_reader.model_to_mesh(model, comm, rank, gdim=dim)[:3])
 
 
 # The partitioner of DOLFINx 0.11 has a further argument: the largest number of cells at a facet.
@@ -68,7 +67,7 @@ def create_submesh(
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
     """Return a submesh, its geometry nodes' numbers in the mesh, and entity maps for forms."""
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
-    if not isinstance(cells, np.ndarray):
+    if not isinstance(cells, np.ndarray):  # an EntityMap, since DOLFINx 0.10
         return submesh, nodes, [cells]
     index_map = mesh.topology.index_map(dim)
     inverse = np.full(index_map.size_local + index_map.num_ghosts, -1, dtype=np.int32)
@@ -77,9 +76,9 @@ def create_submesh(
 
 
 def owned_dofs(bc: Any, owned: int) -> Any:
-    """Return the owned degrees of freedom (n,) that a Dirichlet condition prescribes.
+    """Return the degrees of freedom (n,) of this rank that a condition prescribes. Not collective.
 
-    On blocked spaces DOLFINx 0.9 counts some ghosts among the owned ones. Not collective.
+    The rank owns the first `owned` ones. DOLFINx 0.9 counts ghosts of blocked spaces among them.
     """
     dofs = bc.dof_indices()[0]
     return dofs[dofs < owned]

@@ -202,9 +202,13 @@ def exchange(
 
 
 def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array) -> Array:
-    """Return sums (nodes, k) of values (..., k) at local nodes (...) of all ranks. Collective."""
+    """Return for each node, ghosts included, the sum (nodes, k) of its values on all ranks.
+
+    The rank contributes values (..., k) at local nodes (...), which may repeat. Collective.
+    """
     vector = dolfinx.la.vector(index_map, values.shape[-1])
     rows = values.reshape(-1, values.shape[-1])
+    # a matrix with a single entry 1 in each column, at the row of the node
     entries = np.ones(len(rows)), nodes.ravel(), np.arange(len(rows) + 1)
     shape = (len(vector.array) // rows.shape[1], len(rows))
     vector.array[:] = (csc_array(entries, shape=shape) @ rows).ravel()

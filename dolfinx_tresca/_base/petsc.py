@@ -74,7 +74,7 @@ def keep_inner_communicator(comm: MPI.Comm) -> None:
 
 @contextmanager
 def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
-    """Destroy an owner if the enclosed block raises, after the errors that `PetscOwner` names."""
+    """Destroy an owner if the enclosed block raises one of the errors that `PetscOwner` names."""
     try:
         yield
     except BaseException as error:
@@ -83,10 +83,10 @@ def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
 
 
 def sparse_matrix(rows: csr_array, columns: tuple[int, int], comm: Any) -> PETSc.Mat:
-    """Return a sparse PETSc matrix from this rank's rows, which the caller owns. Collective.
+    """Return the sparse PETSc matrix with given rows on this rank; the caller owns it. Collective.
 
-    The rows have global column numbers; `columns` are the numbers of this rank's and of all
-    columns.
+    The rows have global column numbers; `columns` says how many columns this rank has, and how many
+    there are in all.
     """
     pattern = (array.astype(PETSc.IntType) for array in (rows.indptr, rows.indices))
     sizes = ((rows.shape[0], None), columns)
@@ -96,9 +96,10 @@ def sparse_matrix(rows: csr_array, columns: tuple[int, int], comm: Any) -> PETSc
 
 
 def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) -> PETSc.Mat:
-    """Return a PETSc matrix of this rank's sparse rows, in blocks, with global columns. Collective.
+    """Return the PETSc matrix whose rows on this rank are blocks, one below the other. Collective.
 
-    The index map, with `block_size` columns for each index, is that of the columns.
+    The sparse blocks have global column numbers. The columns are distributed over the ranks like
+    the index map, with `block_size` columns for each index.
     """
     columns = block_size * index_map.size_local, block_size * index_map.size_global
     return sparse_matrix(vstack(blocks, format="csr"), columns, comm)

@@ -68,16 +68,6 @@ def refine(
         InputError: an argument is wrong, the mesh has cells that cannot be bisected, or the
             geometry does not fit the mesh.
         MeshError: the file of the geometry does not exist any more, or Gmsh cannot read it.
-
-    Example:
-        >>> from mpi4py import MPI
-        >>> import numpy as np
-        >>> from dolfinx_tresca import MESHES, read_gmsh, refine
-        >>> bricks = read_gmsh(MESHES / "two_bricks.geo", MPI.COMM_WORLD, N=2)
-        >>> cells = bricks.mesh.topology.index_map(3)
-        >>> refined = refine(bricks, np.ones(cells.size_local), fraction=1.0)
-        >>> cells.size_global, refined.mesh.topology.index_map(3).size_global
-        (24, 192)
     """
     check_tagged_mesh(tagged_mesh)
     fraction = checked_number("fraction", fraction, "(0, 1]")
@@ -87,6 +77,7 @@ def refine(
     largest = float(reduce_array(comm, errors.max(initial=0.0), MPI.MAX))
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
+    # new cells on the ranks of the old ones, and their nodes on curved surfaces
     bisection = bisected(mesh, cells_to_refine(comm, np.square(errors / largest), fraction))
     facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
     with ExitStack() as session:
@@ -94,6 +85,7 @@ def refine(
             surfaces = session.enter_context(open_geometry(tagged_mesh.geometry or {}))
         points = snapped(bisection, facets, facet_values, surfaces)
 
+    # the same cells and tags, distributed over the ranks anew
     dim, index_map = mesh.topology.dim, bisection.mesh.geometry.index_map()
     numbers = np.asarray(index_map.local_to_global(np.arange(len(points), dtype=np.int32)))
     fine = compat.create_mesh(
@@ -136,6 +128,7 @@ class Bisection(NamedTuple):
 
         A facet between two cells occurs twice.
         """
+        # (sides, d + 1): a cell itself has all corners, its facet i has all but corner i
         corners: Mask
         if tags.dim == self.mesh.topology.dim:
             entities, corners = self.parent, np.ones((1, self.nodes.shape[1]), dtype=np.bool_)
@@ -191,13 +184,11 @@ def snapped(
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets (m, d) moved to their surfaces. Collective.
 
-    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. The nodes of a cell that
-    would become flat or inverted do not move: a warning is logged, and the next refinement tries
-    again, with smaller cells.
+    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. Nodes of cells that would
+    become flat do not move.
     """
-    mesh, cells = bisection.mesh, bisection.nodes
+    mesh, surface = bisection.mesh, bisection.mesh.geometry.x.copy()
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
-    start = surface = mesh.geometry.x.copy()
     for tag, exact in surfaces.items():
         nodes = np.unique(facets[tags == tag])
         if reduce_array(comm, len(nodes)) == 0:
@@ -207,11 +198,22 @@ def snapped(
         # another rank may know of a node, but of none of its facets
         sums = summed_at_nodes(index_map, nodes, np.column_stack([target, np.ones(len(nodes))]))
         surface = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), surface)
+    return _without_flat_cells(bisection, surface)
+
+
+def _without_flat_cells(bisection: Bisection, surface: Array) -> Array:
+    """Return the nodes (n, 3) on surfaces; those of flat or inverted cells stay in place.
+
+    Collective. A warning has their number; the next refinement, with smaller cells, tries again.
+    """
+    mesh, cells, start = bisection.mesh, bisection.nodes, bisection.mesh.geometry.x
+    comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
 
     def volumes(points: Array) -> Array:
         sides = points[cells[:, 1:]] - points[cells[:, :1]]
         return np.asarray(np.linalg.det(sides[:, :, :dim]))
 
+    # hold the corners of such cells in place, which may make others flat, until there are none
     held: Mask = np.zeros(len(start), dtype=np.bool_)
     points, before = surface, volumes(start)
     while True:
@@ -248,7 +250,7 @@ def cells_to_refine(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     near = descending[(descending >= NEARLY * least) & (descending <= least * above)][::-1]
     below = np.append(NEARLY * least, near[:-1])
     gap = np.argmax(near / below)
-    return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))
+    return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))  # its geometric mean
 
 
 def check_tagged_mesh(tagged_mesh: Any) -> None:
@@ -309,8 +311,8 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
 def _with_names(mesh: Any, old: Any, entities: GlobalNumbers, values: LocalNumbers) -> Any:
     """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.
 
-    The entities (n, nodes) and their values (n,) are on any rank, with the numbers of nodes that
-    `create_mesh` got.
+    Each rank gives some of the entities (n, nodes) and their values (n,), whoever owns them. Their
+    nodes have the numbers with which `create_mesh` got the cells.
     """
     mesh.topology.create_connectivity(old.dim, 0)
     mesh.topology.create_connectivity(old.dim, mesh.topology.dim)

@@ -99,8 +99,8 @@ class Grid:
 def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     """Return the grid of the whole mesh on rank `ROOT`, None on other ranks. Collective.
 
-    The functions are on one mesh: continuous Lagrange Functions of one degree, the first one among
-    them, and maybe Functions of degree 0.
+    All functions are on one mesh. The first one is a continuous Lagrange Function, and its nodes
+    are those of the grid; each of the others is continuous and of the same degree, or of degree 0.
     """
     space = functions[0].function_space
     index_map = space.dofmap.index_map
@@ -110,24 +110,24 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     nodes = cells[:, 1:]
     nodes[:] = index_map.local_to_global(nodes.astype(np.int32).ravel()).reshape(nodes.shape)
     order = np.arange(len(points))
-    arrays: dict[tuple[int, str], npt.NDArray[Any]] = {}
+    values: dict[str, npt.NDArray[Any]] = {}
+    cell_values: dict[str, npt.NDArray[Any]] = {}
     for function in functions:
         rows, V = _rows(function), function.function_space
         if V.ufl_element().degree == 0:
-            arrays[1, function.name] = rows[: len(cells)]
+            cell_values[function.name] = rows[: len(cells)]
         else:  # in the numbering of `space`, which has the same nodes
             order[space.dofmap.list] = V.dofmap.list
-            arrays[0, function.name] = rows[order][owned]
-    columns = points[owned], cells, np.asarray(cell_types), *arrays.values()
-    gathered = space.mesh.comm.gather(columns, root=ROOT)
+            values[function.name] = rows[order][owned]
+    own = points[owned], cells, np.asarray(cell_types), *values.values(), *cell_values.values()
+    gathered = space.mesh.comm.gather(own, root=ROOT)
     if gathered is None:
         return None
     # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
     points, cells, cell_types, *whole = map(np.concatenate, zip(*gathered, strict=True))
-    fields: tuple[dict[str, Any], dict[str, Any]] = {}, {}
-    for (is_of_cells, name), values in zip(arrays, whole, strict=True):
-        fields[is_of_cells][name] = values
-    return Grid(space.mesh.geometry.dim, points, cells, cell_types, *fields)
+    values = dict(zip(values, whole, strict=False))
+    cell_values = dict(zip(cell_values, whole[len(values) :], strict=True))
+    return Grid(space.mesh.geometry.dim, points, cells, cell_types, values, cell_values)
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
@@ -141,11 +141,12 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
 
 
 def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
-    """Return the grids "volume" and "contact" of a solution on the first rank, none on others.
+    """Return name -> grid of a solution on the first rank, an empty dict on others. Collective.
 
-    With several pairs there is a grid for each, named after the pair, with its number if the name
-    is taken. The degree of the volume is high enough for curved cells to be shown as curved, and it
-    has the user's fields, too; surfaces are of degree 1. Collective.
+    The grid "volume" has the displacement, the bodies, cell errors and the user's fields; its
+    degree is high enough for curved cells to be shown as curved. The grid "contact" is the surface
+    of a single pair, of degree 1. Of several pairs, each has a grid, named after the pair, with its
+    number if the name is taken.
     """
     check_type("solution", solution, Evaluation, "what solve() has returned")
     u, surfaces = solution.u, solution.surfaces
@@ -213,7 +214,10 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 
 
 def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Interpolate Functions, but those of degree 0, to the highest degree of all. Collective."""
+    """Interpolate Functions to the highest degree of them and of the mesh. Collective.
+
+    Those of degree 0 stay as they are.
+    """
     mesh = functions[0].function_space.mesh
     degrees = [function.function_space.ufl_element().degree for function in functions]
     degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
@@ -263,7 +267,7 @@ class SolutionWriter:
 
     @collective(comm_of("solution"), ignored=("time",))
     def write(self, solution: Evaluation, time: float, *, fields: Sequence[Field] = ()) -> None:
-        """Add a solution. Collective.
+        """Add a solution to the series, as its last step. Collective.
 
         Args:
             solution: the solution that `ContactProblem.solve` returned.
@@ -277,11 +281,9 @@ class SolutionWriter:
         grids, comm = grids_of(solution, fields), solution.comm
         time, path = comm.bcast((time, str(self._path)), root=ROOT)
         if not isinstance(time, Real) or not self._latest_time < time < math.inf:
-            beyond = f" above {self._latest_time:g}, the last one"
-            raise InputError(
-                f"time must be a number{beyond if self._latest_time > -math.inf else ''}, "
-                f"found {time!r}."
-            )
+            latest = self._latest_time
+            beyond = f" above {latest:g}, the last one" if latest > -math.inf else ""
+            raise InputError(f"time must be a number{beyond}, found {time!r}.")
         self._path = Path(path)
         with errors_on_all_ranks(comm), file_named_in_errors(self._path):
             if comm.rank == ROOT:
@@ -348,7 +350,7 @@ def _remove_grids(folder: Path) -> None:
 
 
 def write_vtu(path: Path, grid: Grid) -> None:
-    """Write a grid."""
+    """Write a grid as a `.vtu`: XML, whose arrays are compressed and in base 64."""
     root = _root("UnstructuredGrid")
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")

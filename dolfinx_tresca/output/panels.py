@@ -68,7 +68,7 @@ class Contact:
 
 
 def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
-    """Return a whole surface on the first rank, None on other ranks. Collective.
+    """Return the surface of a pair, gathered on the first rank; None on others. Collective.
 
     A node that carries no multiplier, such as the tip of a crack or a prescribed node, is drawn as
     touching if all nodes beside it touch, and each of its facets has a node that carries one.
@@ -176,7 +176,8 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     neighbours = coo_array((np.ones(len(lines)), lines.T), shape=2 * (len(points),)).tocsr()
     count = np.bincount(lines.ravel(), minlength=len(points))
     x, y, _ = np.round(points.T, 12)
-    order = np.lexsort((y, x, count != 1))  # the ends of open pieces come before other nodes
+    # each piece starts at its first node in this order: the ends of open pieces, then the others
+    order = np.lexsort((y, x, count != 1))
     _, piece_of = connected_components(neighbours, directed=False)
     starts = order[np.unique(piece_of[order], return_index=True)[1]]
     start_of_arc, curves = 0.0, []
@@ -186,6 +187,7 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
         if closed:
             nodes = np.append(nodes, start)
             a, b = points[nodes[:-1], :2].T, points[nodes[1:], :2].T
+            # counterclockwise, with a positive area
             nodes = nodes if np.sum(a[0] * b[1] - b[0] * a[1]) > 0.0 else nodes[::-1]
         places = points[nodes]
         directions = np.gradient(places, axis=0)
@@ -198,7 +200,10 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
 
 
 def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
-    """Draw pressure, traction and slip against arc length, with names of units."""
+    """Draw charts of pressure, traction and slip of a contact curve against its arc length.
+
+    Traction and slip are their components along the curve. `length` and `stress` name the units.
+    """
     values, title, legend = contact.grid.values, f"Contact curve{contact.title}", []
     charts = [(["pressure"], "contact pressure", stress)]
     if "slip" in values:
@@ -237,10 +242,10 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
 
 @contextmanager
 def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
-    """Yield a plotter of pyvista; put the largest view of all that is drawn into a panel.
+    """Yield a plotter of pyvista, and at the end of the block put its view into a panel.
 
-    The view has no perspective, and arrows show the coordinate directions. The normal (3,) points
-    to the viewer, and `up` (3,) upward in the view.
+    The view is as large as possible, without perspective, and arrows show the coordinate
+    directions. The normal (3,) points to the viewer, and `up` (3,) upward in the view.
     """
     import pyvista
 
@@ -248,6 +253,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     theme.allow_empty_mesh, theme.show_scalar_bar = True, False
     with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
+        # the scale at which all points are in the view, with a margin
         right = np.cross(up, normal)
         directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
@@ -260,6 +266,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
+    # the image, and arrows for the coordinate axes that are not seen end on
     view = axes_at(panel, 0.0, FOOTER, width, height)
     view.imshow(image, aspect="auto", interpolation="none")
     view.set_axis_off()
@@ -286,8 +293,8 @@ def skin(grid: Any) -> Any:
 def corner_grid(volume: Grid) -> Grid:
     """Return a grid in which tetrahedra and hexahedra have no nodes but their corners.
 
-    Of tetrahedra and hexahedra of degree 2 VTK also draws faces between cells that have the nodes
-    of the face in different orders, and then finds no edges of the bodies.
+    If two cells of degree 2 have the nodes of their common face in different orders, VTK takes the
+    face for an outer one of both, and then finds no edges of the bodies.
     """
     kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
     cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
@@ -297,7 +304,10 @@ def corner_grid(volume: Grid) -> Grid:
 def draw_bodies(
     panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
 ) -> None:
-    """Draw bodies with a magnified displacement, contact curves of 2D, and rigid obstacles."""
+    """Draw bodies with a magnified displacement, contact curves of 2D, and rigid obstacles.
+
+    Without a scale, `magnification` chooses it. `unit` names the unit of length.
+    """
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2
     normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)
@@ -312,6 +322,7 @@ def draw_bodies(
     kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
     outline = surface.extract_feature_edges(40.0, **kinds)
     near = np.concatenate([bodies.points, faces.points])
+    # an obstacle of several pairs is drawn once
     obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
     legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
     with view_in(panel, normal, up) as plotter:
@@ -362,7 +373,7 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 
 
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
-    """Draw an obstacle near points (n, 3) of the bodies; return whether it is there to be drawn.
+    """Draw an obstacle near points (n, 3) of the bodies, and return whether any of it is there.
 
     In 2D (`flat`) all of it is drawn, in 3D its surface; sides that are seen from within the
     obstacle are transparent, so that they do not hide the points.
@@ -414,9 +425,10 @@ def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None
 
 
 def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None:
-    """Draw the facets that may touch, seen along their mean normal, or obliquely if closed.
+    """Draw a contact surface: pressures as colours, slips as arrows, sticking nodes as discs.
 
-    Others, such as the sides of a block whose whole boundary has the tag, would hide these.
+    It is seen along its mean normal or, if it is closed, obliquely. Facets that face nothing, such
+    as the sides of a block whose whole boundary has the tag, would hide the others, and are absent.
     """
     import pyvista
 

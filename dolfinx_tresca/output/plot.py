@@ -55,10 +55,9 @@ def plot(
     small that surfaces which have met, and the sides of an initial overlap, touch in the picture.
 
     Contact surfaces in 3D are drawn without the facets that face nothing, seen along their mean
-    normal; closed ones, like holes and shafts, obliquely from outside (`to_pyvista` returns the
-    data for other views). Colours show the pressure, and arrows the slip of the secondary side
-    against the primary side (after an accepted load step the slip of the new step). Black discs
-    mark nodes that stick; open parts are grey.
+    normal; closed ones, like holes and shafts, obliquely from outside. Colours show the pressure,
+    and arrows the slip of the secondary side against the primary side (after an accepted load step
+    the slip of the new step). Black discs mark nodes that stick; open parts are grey.
 
     For contact curves in 2D, charts show pressure, and traction and slip along the curve, against
     its arc length. On the bodies the curve is thick and red where it is pressed, thin and black
@@ -141,8 +140,8 @@ def compose(
 def display_for_pictures() -> Iterator[None]:
     """Let VTK render within a `with` block, also without a display.
 
-    Then VTK 9.5 and later render through EGL, if the system has this library. Other versions would
-    end in a segmentation fault: for these Xvfb, an X server, is started.
+    Without a display, VTK 9.5 and later render through EGL, if the system has this library. Other
+    versions would end in a segmentation fault: for these Xvfb, an X server, is started.
     """
     import pyvista
 

@@ -79,23 +79,23 @@ class ProblemSummary:
     def from_system(
         cls, system: LinearSystem, pairs: Sequence[ContactPair], jump: JumpOperator
     ) -> ProblemSummary:
-        """Count cells, unknowns and contact nodes of a problem. Collective."""
-        mesh, comm = system.V.mesh, system.comm
+        """Count cells, unknowns and contact nodes, and find the range of each gap. Collective."""
+        mesh, comm, by_pair = system.V.mesh, system.comm, jump.by_pair
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
-        operators = [rows.operators for rows in jump.by_pair]
         own = [int(system.moves.sum()), sum(len(pair.nodes) for pair in jump.pairs)]
-        counts = reduce_array(comm, [*own, *(len(pair.nodes) for pair in operators)])
+        own += [len(rows.nodes) for rows in by_pair]
+        free_dofs, contact_nodes, *counts = reduce_array(comm, own).tolist()
         texts = []
-        for pair, pair_operators, nodes in zip(pairs, operators, counts[2:], strict=True):
+        for pair, rows, nodes in zip(pairs, by_pair, counts, strict=True):
             kind = "mortar" if pair.obstacle is None else "obstacle"
-            distance = pair_operators.gap
-            distance = np.where(np.abs(distance) > 1e-12 * pair_operators.sizes, distance, 0.0)
+            distance, rounding = rows.operators.gap, 1e-12 * rows.operators.sizes
+            distance = np.where(np.abs(distance) > rounding, distance, 0.0)
             extremes = distance.min(initial=np.inf), (-distance).min(initial=np.inf)
             least, negated = reduce_array(comm, extremes, MPI.MIN)
             gap = f"gap {least:.3g}" + f" to {-negated:.3g}" * bool(least != -negated)
             texts.append((f"{pair}, {kind}: {nodes} nodes", gap, pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
-        free_dofs, contact_nodes = int(counts[0]), int(counts[1])
+
         kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
         count = system.negative_pivots
         beside = f", beside {count} unknowns of other kinds" if count else ""
@@ -107,7 +107,7 @@ class ProblemSummary:
         return cls(dofs, free_dofs, contact_nodes, size_rows, tuple(texts))
 
     def rows(self, units: Units | None) -> list[Row]:
-        """Return names and values."""
+        """Return the rows of the table: the sizes, and the first pairs."""
         pair_rows = [
             ("  pair", f"{pair}, {with_unit(gap, units, 'length')}, {law}")
             for pair, gap, law in self.pairs
@@ -133,7 +133,7 @@ def _may_be_zero(results: Evaluation) -> bool:
 
 
 def error_rows(results: Evaluation) -> list[Row]:
-    """Return the errors of the iteration and of the mesh."""
+    """Return the rows with the errors of the iteration, of slip bounds and of the mesh."""
     kind = "at most" if results.bound_is_rigorous else "about"
     bound = f"{kind} {results.energy_error_bound:.1e} of the solution's norm"
     if results.energy_error_bound == 0.0:
@@ -153,10 +153,13 @@ def error_rows(results: Evaluation) -> list[Row]:
 def contact_rows(
     results: Evaluation, units: Units | None, bolts: Mapping[str, BoltForce]
 ) -> list[Row]:
-    """Return the rows of the contact, with the digits that the error of nodal values justifies."""
+    """Return the rows of the contact: counts of nodes, largest values, forces, and energies.
+
+    Values have the digits that the error of nodal values justifies.
+    """
     counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
     dim = 3 if results.axisymmetric else dim  # forces on whole rings
-    scale = 0.0 if _may_be_zero(results) else 1.0  # relative errors leave rounding all its digits
+    scale = 0.0 if _may_be_zero(results) else 1.0  # values that may be rounding are shown as zero
     has_friction = any(surface.traction is not None for surface in results.surfaces)
     has_history = any(surface.slip_increment is not surface.slip for surface in results.surfaces)
 
@@ -229,7 +232,10 @@ def contact_rows(
 
 
 def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
-    """Return the page of a `ContactSolution`, after earlier load steps, with a `PIL` image."""
+    """Return the HTML page of a `ContactSolution` and of earlier load steps, on the first rank.
+
+    The page includes a picture, a `PIL` image, and the text of the script that is running.
+    """
     image, script = io.BytesIO(), Path(getattr(sys.modules["__main__"], "__file__", ""))
     picture.save(image, format="PNG")
     encoded = base64.b64encode(image.getvalue()).decode()
@@ -252,7 +258,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
 
 
 def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
-    """Return a row for each load step, with the bolts and supports of the last one."""
+    """Return a heading, and a row for each step with the bolts and supports of the last step."""
     bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
     rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
     for number, step in enumerate(solutions, start=1):
@@ -268,6 +274,7 @@ def force_graph(solution: Any) -> str:
     """Return an SVG: bodies as dots, forces between them as lines; "" without forces."""
     names = [*solution.body_names, "rigid obstacles"]
     forces = {bodies: resultant.force for bodies, resultant in solution.between_bodies.items()}
+    # the force of obstacles on a body is that of all contact minus those of other bodies
     by_obstacles = [np.array(resultant.force) for resultant in solution.body_resultants]
     for (i, j), force in forces.items():
         by_obstacles[i] -= force
@@ -275,9 +282,7 @@ def force_graph(solution: Any) -> str:
     forces |= {(body, len(names) - 1): force for body, force in enumerate(by_obstacles)}
     lengths = {bodies: float(np.linalg.norm(force)) for bodies, force in forces.items()}
     largest = max(lengths.values())
-    lengths = {
-        bodies: length for bodies, length in lengths.items() if length > SHOWN_FORCE * largest
-    }
+    lengths = {ends: length for ends, length in lengths.items() if length > SHOWN_FORCE * largest}
     shown = sorted({body for bodies in lengths for body in bodies})
     if not 0 < len(shown) <= MOST_BODIES:
         return ""

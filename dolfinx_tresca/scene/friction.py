@@ -33,7 +33,10 @@ VectorField: TypeAlias = (
 
 
 def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
-    """Check the type and shape, () or (3,), of a field, whose values are checked at nodes."""
+    """Check the type and shape, () or (3,), of a field; a function of points may return anything.
+
+    Rooms above check the values at nodes.
+    """
     field = expression_of(value)
     if isinstance(field, Expr):
         _check_expression(field, shape, name)
@@ -67,6 +70,7 @@ def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> No
             raise InputError(
                 f"{name} must not depend on a trial or test function: take a fem.Function instead."
             )
+        # derivatives, and quantities such as cell sizes, jump between cells
         if isinstance(operand, Coefficient):
             continuous = operand.ufl_element() in ufl.H1
         else:
@@ -109,17 +113,13 @@ DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 
 @dataclass(frozen=True)
 class FrictionCurve:
-    """A coefficient of friction F(p, v) that depends on the pressure and on the slip of the step.
-
-    Attributes:
-        function: see `Coulomb`.
-    """
+    """A coefficient of friction F(p, v), by the user's `function` of pressures and slips."""
 
     function: Callable[[Any, Any], Any]
 
     @property
     def depends_on_slip(self) -> bool:
-        """Whether F changes with the slip, at any of many pressures and slips."""
+        """Whether F changes with the slip, at 50 pressures and 50 slips from 0 to 1e12."""
         grid = np.append(0.0, np.logspace(-12.0, 12.0, 49))
         pressure, slip = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
         with np.errstate(all="ignore"):
@@ -138,7 +138,10 @@ class FrictionCurve:
         return np.broadcast_to(values.astype(np.float64), (count,))
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
-        """Return difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length]."""
+        """Return the difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
+
+        They are 0 where the pressure, or the slip, is 0.
+        """
         low, high = 1.0 - DIFFERENCE, 1.0 + DIFFERENCE
         dp, dv = high * pressure - low * pressure, high * slip - low * slip
         change_with_p = self.values(high * pressure, slip) - self.values(low * pressure, slip)
@@ -150,10 +153,9 @@ class FrictionCurve:
 
 
 def curve_of(coefficient: object) -> FrictionCurve | None:
-    """Return a coefficient of friction as a curve, or None if it is not such a function.
+    """Return a coefficient of friction as a curve if it is a function of two arguments, else None.
 
-    A function that requires two arguments is a curve; a function that requires one argument is a
-    function of points.
+    Only arguments without default count; a function of one argument is a function of points.
     """
     if isinstance(coefficient, type | fem.Expression | Expr) or not callable(coefficient):
         return None
@@ -265,12 +267,7 @@ class Tresca(DryFriction):
     direction: VectorField | None = None
 
     def __post_init__(self) -> None:
-        """Check the types of the arguments.
-
-        Raises:
-            InputError: a bound is not a real scalar, or has no single value at a node; `direction`
-                is missing for two bounds, or given for one bound; or it is not a vector.
-        """
+        """Check the types of the arguments; an InputError is raised for other ones than above."""
         _check_bound(self.slip_bound, self.direction, self.constant_name)
 
     @property
@@ -331,10 +328,6 @@ class Coulomb(DryFriction):
         <Coulomb: coefficient of friction 0.3>
         >>> print(Coulomb(0.3, limit=40.0))
         coefficient of friction 0.3, slip bound at most 40
-        >>> print(Coulomb((0.3, 0.1), direction=(1, 0, 0)))
-        coefficient of friction along (1, 0, 0) and across: 0.3 and 0.1
-        >>> print(Coulomb(0.3, adhesion=2.0))
-        coefficient of friction 0.3, adhesion 2
         >>> print(Coulomb(lambda p, v: 0.5 / (1 + p / 40)))
         coefficient of friction a function of pressure and slip
     """
@@ -347,13 +340,7 @@ class Coulomb(DryFriction):
     adhesion: ScalarField = 0.0
 
     def __post_init__(self) -> None:
-        """Check the types of the arguments.
-
-        Raises:
-            InputError: a coefficient, the limit or the adhesion is not a real scalar, or has no
-                single value at a node; `direction` is missing for two coefficients, or given for
-                one coefficient; or it is not a vector.
-        """
+        """Check the types of the arguments; an InputError is raised for other ones than above."""
         if curve_of(self.coefficient) is None or self.direction is not None:
             _check_bound(self.coefficient, self.direction, "the coefficient of friction")
         if self.limit is not None:
@@ -384,7 +371,7 @@ def two_bounds(bounds: Sequence[Any], name: str) -> list[tuple[Any, str]]:
 
 
 def _check_bound(bound: Any, direction: VectorField | None, name: str) -> None:
-    """Check the type of one bound, or of two bounds and their direction."""
+    """Check the number and types of bounds: one, or two with a direction; see `BoundTerms`."""
     values = bound if isinstance(bound, tuple) else (bound,)
     if len(values) != (1 if direction is None else 2):
         given = "no direction" if direction is None else "a direction"
@@ -440,30 +427,17 @@ class Preload(Bonded):
     Attributes:
         force: force in the bolt [force], positive in tension; in 2D per unit of thickness. A
             `fem.Constant` may be changed before a solve.
-
-    Example:
-        >>> from dolfinx_tresca import Preload
-        >>> str(Preload(20e3))
-        'preload 20000'
     """
 
     force: float | fem.Constant
 
     def __post_init__(self) -> None:
-        """Check the force.
-
-        Raises:
-            InputError: the force is not a finite number.
-        """
+        """Check the force, as `value` does."""
         _ = self.value
 
     @property
     def value(self) -> float:
-        """The present force [force].
-
-        Raises:
-            InputError: the force is not a finite number.
-        """
+        """The present force [force]; an InputError is raised if it is not a finite number."""
         force = getattr(self.force, "value", self.force)
         return checked_number("the force of a preload", force, "(-inf, inf)")
 

@@ -54,7 +54,7 @@ def gmsh_session() -> Iterator[Any]:
 
 @contextmanager
 def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
-    """Set options of Gmsh in a block."""
+    """Set options of Gmsh in a block, and restore them at its end."""
     before = {name: gmsh.option.getNumber(name) for name in values}
     try:
         for name, value in values.items():
@@ -66,10 +66,10 @@ def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
 
 
 def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: str = "mm") -> None:
-    """Open a file with one of `SUFFIXES` in Gmsh.
+    """Open a file with one of `SUFFIXES` in Gmsh, as a new current model.
 
-    `parameters` are values of names that a `.geo` file declares with `DefineConstant`, `unit` is
-    the unit of length of the coordinates, for STEP and IGES files.
+    `parameters` are values of names that a `.geo` file declares with `DefineConstant`; a file that
+    sets them itself is refused. `unit` is the unit of length of coordinates, for STEP and IGES.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -89,15 +89,7 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: s
     # if Gmsh's parser raised an error itself, the next call would continue with the rest of the
     # file, even after gmsh.finalize()
     with options(gmsh, {"General.AbortOnError": 0}), tempfile.TemporaryDirectory() as folder:
-        opened = path
-        if parameters:
-            # DefineConstant does not change a name that is already defined: a file that sets the
-            # values and then includes the user's has the effect of Gmsh's option -setnumber
-            opened = Path(folder) / "with_parameters.geo"
-            lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
-            quote = "'" if '"' in str(path.resolve()) else '"'  # Gmsh has no escape sequence
-            lines.append(f"Include {quote}{path.resolve()}{quote};\n")
-            opened.write_text("\n".join(lines))
+        opened = _with_parameters(path, parameters, Path(folder)) if parameters else path
         gmsh.logger.start()
         try:
             gmsh.open(str(opened))
@@ -115,6 +107,20 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: s
                 f"'{path}' sets {name} = {actual:g} itself and ignores the value {float(value):g}. "
                 f"Declare it there as DefineConstant[ {name} = {actual:g} ]."
             )
+
+
+def _with_parameters(path: Path, parameters: Mapping[str, float], folder: Path) -> Path:
+    """Write a `.geo` file to a folder that sets parameters and then includes the user's file.
+
+    DefineConstant does not change a name that is defined already, so the new file has the effect of
+    Gmsh's option -setnumber.
+    """
+    file = folder / "with_parameters.geo"
+    lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
+    quote = "'" if '"' in str(path.resolve()) else '"'  # Gmsh has no escape sequence
+    lines.append(f"Include {quote}{path.resolve()}{quote};\n")
+    file.write_text("\n".join(lines))
+    return file
 
 
 #: Function from points (3, n) near a surface to the nearest points (3, n) on the surface [length].
@@ -159,12 +165,12 @@ class GmshGeometry:
             path = Path(folder) / "shapes.xao"  # it keeps groups, in contrast to .brep
             gmsh.write(str(path))
             shapes = cls(Path("gmsh.model"), {}, {}, content=path.read_bytes())
-        with shapes._model() as copied:
+        with shapes._model() as copied:  # which may number its surfaces in another way
             return replace(shapes, curved=curved_groups(copied))
 
     @contextmanager
     def _model(self) -> Iterator[Any]:
-        """Yield the file's model of Gmsh."""
+        """Open the file, or the shapes, in Gmsh and yield the model."""
         with gmsh_session() as gmsh, tempfile.TemporaryDirectory() as folder:
             path = self.path
             if self.content is not None:
@@ -175,7 +181,7 @@ class GmshGeometry:
 
 
 def curved_groups(model: Any) -> dict[int, tuple[int, ...]]:
-    """Return tag -> surfaces of each group of surfaces with a curved one (in 2D: of curves)."""
+    """Return tag -> numbers of all surfaces (in 2D curves) of each group that has a curved one."""
     dim = model.getDimension() - 1
     groups = {}
     for _, tag in model.getPhysicalGroups(dim):
@@ -258,6 +264,7 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
     points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
+    # the extents along the principal axes, from the largest to the least
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(extents[dim] <= 1e-9 * extents[0])  # less is rounding
 
@@ -275,7 +282,7 @@ def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
 
 
 def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
-    """Project points (3, n) onto surfaces, points at an edge onto the edge."""
+    """Project points (3, n) onto surfaces, those at an edge onto the edge; see `ExactSurface`."""
     surfaces = [(dim, entity) for entity in entities]
     place, distance = _nearest_points(model, surfaces, points)
     if dim > 1:
@@ -284,7 +291,7 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
         place = np.where(away <= 3.0 * distance, on_edge, place)
     # nodes that are on the surface keep their coordinates to the last digit
     on_surface = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
-    if on_surface.mean() < 0.1:  # after a refinement the old nodes, at least about a fourth, are
+    if on_surface.mean() < 0.1:  # after a refinement at least a fourth, the old nodes, are on it
         raise InputError(
             "nodes are not on the surfaces from which Gmsh made the mesh: it was moved or scaled. "
             "Take dataclasses.replace(tagged_mesh, geometry=...) with {tag: function} or None."
@@ -295,7 +302,7 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
 def _nearest_points(
     model: Any, entities: Sequence[tuple[int, int]], points: Array
 ) -> tuple[Array, Array]:
-    """Return, for points (3, n), the nearest points (3, n) of entities and their distances (n,)."""
+    """Return the points (3, n) of entities nearest to points (3, n), and their distances (n,)."""
     place, distance = points.copy(), np.full(points.shape[1], np.inf)
     for entity in entities:
         nearest = _nearest(model, entity, points)
@@ -318,6 +325,7 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     On the surfaces of `press_fit.geo` Gmsh's own search takes 4 to 35 times as long, and the points
     that it finds are farther away than the nearest ones, by up to 1e-3 of the size of the surface.
     """
+    # start at the nearest of 32 x 32 points of the surface
     low, high = model.getParametrizationBounds(2, surface)
     grid = _grid(model, 2, surface, per_axis=32)
     locate = partial(_points_at, model, 2, surface)
@@ -326,6 +334,7 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     parameters = grid[cKDTree(samples).query(points.T)[1]]
     for _ in range(20):  # on the surfaces of the package's meshes it takes three steps
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
+        # the step in the parameters that comes nearest to the point, by least squares
         step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - locate(parameters))[:, :, None]
         previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
         shifts = np.einsum("ni,nik->nk", parameters - previous, tangents)

@@ -65,7 +65,7 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
 
 def abridged_names(tags: Sequence[int], facet_tags: MeshTags) -> str:
-    """Return the names of a list of tags; of a long list the first names. Not collective."""
+    """Return the names of tags as a text, with more than three the first three and a count."""
     names = facet_tags.names if isinstance(facet_tags, NamedTags) else {}
     words = [names.get(tag, f"tag {tag}") for tag in tags[:3]]
     if len(tags) > len(words):
@@ -83,11 +83,11 @@ class MergedTags(NamedTags):
         self.given, self.merged = given, {tags[0]: tuple(tags) for tags in lists}
         names = dict(given.names) if isinstance(given, NamedTags) else {}
         values = given.values.copy()
-        for lowest_tag, merged in self.merged.items():
-            names[lowest_tag] = abridged_names(merged, given)
-            values[np.isin(values, merged)] = lowest_tag
-        of_given = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
-        super().__init__(compat.with_values(given, values), names, *of_given)
+        for kept, merged in self.merged.items():
+            names[kept] = abridged_names(merged, given)
+            values[np.isin(values, merged)] = kept
+        cell_tags, geometry = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
+        super().__init__(compat.with_values(given, values), names, cell_tags, geometry)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def read_gmsh(
     """
     check_type("comm", comm, MPI.Comm, "an MPI communicator, such as MPI.COMM_WORLD")
     geometry: GmshGeometry | None = None
-    if isinstance(path, tuple):
+    if isinstance(path, tuple):  # from model_to_mesh
         mesh, cell_tags, facet_tags = path[:3]
         for kind, tags_of_kind in (("cells", cell_tags), ("facets", facet_tags)):
             wanted = "MeshTags, from physical groups of all bodies and surfaces"
@@ -169,17 +169,20 @@ def read_gmsh(
         named = getattr(path, "physical_groups", {})
         groups = [(dim, tag, name) for name, (dim, tag) in named.items()]
     else:
+        # Gmsh keeps the model of the first rank until the mesh is distributed
         with ExitStack() as session:
-            model, content = None, None
+            model, description = None, None
             with errors_on_all_ranks(comm):
                 if comm.rank == 0:
                     gmsh = session.enter_context(gmsh_session())
-                    model, content = gmsh.model, _meshed(comm, gmsh, path, size, unit, parameters)
-            groups, geometry = comm.bcast(content, root=0)
+                    description = _meshed(comm, gmsh, path, size, unit, parameters)
+                    model = gmsh.model
+            groups, geometry = comm.bcast(description, root=0)
             mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
     if geometry is not None and not geometry.curved:
         geometry = None
     dims = cell_tags.dim, facet_tags.dim
+    # dimension -> tag -> name
     names = {d: {tag: name for dim, tag, name in groups if dim == d and name} for d in dims}
     cells = NamedTags(cell_tags, names[cell_tags.dim])
     facets = NamedTags(facet_tags, names[facet_tags.dim], cells, geometry)
@@ -190,7 +193,12 @@ def read_gmsh(
 def _meshed(
     comm: MPI.Comm, gmsh: Any, path: Any, size: Any, unit: str, parameters: dict[str, float]
 ) -> tuple[list[tuple[int, int, str]], GmshGeometry | None]:
-    """Open and mesh the user's file or model; return `_physical_groups` and the known geometry."""
+    """Make the user's file or model Gmsh's current model, with a mesh.
+
+    Returns:
+        dimension, tag and name of each group of cells or facets; and the geometry from which the
+        mesh was made, None for a `.msh` file and for a model without shapes of OpenCASCADE.
+    """
     is_file = isinstance(path, str | PathLike)
     if not is_file and not hasattr(path, "getPhysicalGroups"):
         raise InputError(
@@ -199,11 +207,11 @@ def _meshed(
         )
     source = Path(path) if is_file else Path("gmsh.model")
     suffix = source.suffix.lower()
-    if suffix in (".geo", ".msh") and size is not None:  # the latter takes none, which is said
+    if suffix in (".geo", ".msh") and size is not None:  # refused below if the file has none
         parameters["size"] = size
     if is_file:
         open_file(gmsh, source, {}, unit=unit)
-    if parameters:
+    if parameters:  # the open file tells which names it declares
         check_parameters(gmsh, source, parameters)
         open_file(gmsh, source, parameters)
     if suffix in CAD_SUFFIXES:
@@ -219,16 +227,19 @@ def _meshed(
 
 
 def _mesh(gmsh: Any, path: Path, size: Any) -> None:
-    """Name the bodies and faces of a CAD model without groups; mesh a model without mesh."""
+    """Name the bodies and faces of a CAD model without groups, and mesh a model without mesh.
+
+    A `.geo` file is meshed in any case. A MeshError is raised if Gmsh fails, or mixes cells.
+    """
     model, suffix = gmsh.model, path.suffix.lower()
     is_cad = suffix in CAD_SUFFIXES
     dim = model.getDimension()
     if (is_cad or suffix == ".model") and not model.getPhysicalGroups():
         name_groups(model, str(path))
-    sizes: dict[str, float] = {}
+    sizes: dict[str, float] = {}  # options of Gmsh whose names begin with Mesh.MeshSize
     if suffix == ".geo" or not len(model.mesh.getElementTypes(dim)):
         if is_cad or (suffix == ".model" and size is not None):
-            set_sizes(model, size, str(path))
+            set_sizes(model, {} if size is None else size, str(path))
             sizes = {"FromCurvature": CELLS_PER_TURN, "FromPoints": 0, "ExtendFromBoundary": 0}
         try:
             with options(gmsh, {f"Mesh.MeshSize{name}": value for name, value in sizes.items()}):
@@ -245,7 +256,7 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
 
 
 def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Check that a file, which is open without parameters, declares the names of parameters."""
+    """Check that a file, which Gmsh has opened without parameters, declares all their names."""
     if path.suffix.lower() != ".geo":
         raise InputError(
             f"'{path}' takes no parameters, found {', '.join(parameters)}. Read the .geo file that "
@@ -266,8 +277,9 @@ def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> 
 def name_groups(model: Any, name: str) -> None:
     """Put each body, and each face of a body, of a model without groups into a group of its own.
 
-    Names are the labels of the file; without, bodies are `body 1`, `body 2`, and faces of `pin` are
-    `pin/1`, `pin/2`. In 2D bodies are surfaces. The `name` of the model is for error messages.
+    Names are the labels in the file; without labels, bodies are `body 1`, `body 2`, and faces of
+    `pin` are `pin/1`, `pin/2`. In 2D bodies are surfaces. A MeshError, with the `name` of the
+    model, is raised if faces belong to no body or to two.
     """
     dim, extent = model.getDimension(), np.ptp(_box(model, -1, -1), axis=0)
     if dim < 2 or (dim == 2 and extent[2] > 1e-5 * extent.max()):  # boxes of OpenCASCADE are loose
@@ -277,16 +289,19 @@ def name_groups(model: Any, name: str) -> None:
         )
     names: set[str] = set()
 
-    def add(entity: tuple[int, int], otherwise: str) -> str:
+    def add(entity: tuple[int, int], default: str) -> str:
+        """Make a group of an entity, and return its name: the label made unique, or the default."""
         label = model.getEntityName(*entity).rpartition("/")[2]
-        label = otherwise if not label or label.startswith(NO_NAME) else label
+        label = default if not label or label.startswith(NO_NAME) else label
         same = sum(word == label or word.startswith(f"{label} (") for word in names)
-        names.add(word := f"{label} ({same + 1})" if same else label)
-        model.addPhysicalGroup(entity[0], [entity[1]], entity[1], name=word)
-        return word
+        unique = f"{label} ({same + 1})" if same else label
+        names.add(unique)
+        model.addPhysicalGroup(entity[0], [entity[1]], entity[1], name=unique)
+        return unique
 
-    bodies = {b: add((dim, b), f"body {k}") for k, (_, b) in enumerate(model.getEntities(dim), 1)}
-    for body, of_body in bodies.items():
+    entities = [body for _, body in model.getEntities(dim)]
+    bodies = {body: add((dim, body), f"body {k}") for k, body in enumerate(entities, start=1)}
+    for body, body_name in bodies.items():
         faces = sorted(abs(face) for _, face in model.getBoundary([(dim, body)], oriented=False))
         for i, face in enumerate(faces, start=1):
             sharing = [bodies[number] for number in model.getAdjacencies(dim - 1, face)[0]]
@@ -295,7 +310,7 @@ def name_groups(model: Any, name: str) -> None:
                     f"bodies {' and '.join(sharing)} in '{name}' share a face, which makes them "
                     "one body: export them without merging them (in Gmsh without fragment)."
                 )
-            add((dim - 1, face), f"{of_body}/{i}")
+            add((dim - 1, face), f"{body_name}/{i}")
     count = len(model.getEntities(dim - 1))
     free = count - len(model.getPhysicalGroups(dim - 1))
     if free:
@@ -305,11 +320,11 @@ def name_groups(model: Any, name: str) -> None:
         )
 
 
-def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -> None:
+def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
     """Give each body its size of cells [length], and half of it at faces near another body.
 
-    Without a size it is a sixth of the root of the body's volume or area. The current model of
-    Gmsh, with a name for error messages, has a group for each body.
+    Bodies whose size is not given get a sixth of the root of their volume or area. The current
+    model of Gmsh, with a name for error messages, has a group for each body.
     """
     dim = model.getDimension()
     bodies = {
@@ -317,7 +332,6 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
         for tag, entity in _grouped_entities(model, dim)
     }
     names = list(dict.fromkeys(bodies.values()))
-    size = {} if size is None else size
     given = size if isinstance(size, Mapping) else dict.fromkeys(names, size)
     for body, value in given.items():
         if body not in names:
@@ -328,30 +342,32 @@ def set_sizes(model: Any, size: float | Mapping[str, float] | None, name: str) -
     fields: list[int] = []
 
     def field(kind: str, **settings: float | list[int]) -> int:
+        """Add a field, a size of cells or a distance at each point, and return its number."""
         tag, new = int(model.mesh.field.add(kind)), model.mesh.field
         for option, value in settings.items():
             (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
         return tag
 
     listed, listed_faces = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
+    # number, body and box of each face
     faces = [
         (abs(face), entity, *_box(model, dim - 1, abs(face)))
         for entity in bodies
         for _, face in model.getBoundary([(dim, entity)], oriented=False)
     ]
     for entity, body in bodies.items():
-        cells = float(given.get(body, model.occ.getMass(dim, entity) ** (1.0 / dim) / 6.0))
-        fields.append(field("Constant", VIn=cells, **{listed: [entity]}))
+        h = float(given.get(body, model.occ.getMass(dim, entity) ** (1.0 / dim) / 6.0))
+        fields.append(field("Constant", VIn=h, **{listed: [entity]}))
+        # faces of other bodies whose boxes are less than h away from the box of this body
         low, high = _box(model, dim, entity)
         near = [
             face
             for face, owner, least, largest in faces
-            if owner != entity and (least <= high + cells).all() and (largest >= low - cells).all()
+            if owner != entity and (least <= high + h).all() and (largest >= low - h).all()
         ]
         if near:
             distance = field("Distance", Sampling=20, **{listed_faces: sorted(near)})
-            limits = {"SizeMin": 0.5 * cells, "SizeMax": cells}
-            limits |= {"DistMin": 0.5 * cells, "DistMax": 3.0 * cells}
+            limits = {"SizeMin": 0.5 * h, "SizeMax": h, "DistMin": 0.5 * h, "DistMax": 3.0 * h}
             growing = field("Threshold", InField=distance, **limits)
             fields.append(field("Restrict", InField=growing, **{listed: [entity]}))
     model.mesh.field.setAsBackgroundMesh(field("Min", FieldsList=fields))
@@ -363,7 +379,10 @@ def _box(model: Any, dim: int, entity: int) -> Array:
 
 
 def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
-    """Return dimension, tag and name of each group of cells or facets; no name is ""."""
+    """Return dimension, tag and name, "" if it has none, of each group of facets or cells.
+
+    A MeshError is raised if there are no groups of facets or none of cells, or two have one name.
+    """
     dim = model.getDimension()
     for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):
         if dim < 2 or not model.getPhysicalGroups(group_dim):
@@ -395,22 +414,26 @@ def _grouped_entities(model: Any, dim: int) -> list[tuple[int, int]]:
 def _check_facets(model: Any, path: Path) -> None:
     """Check that facets with tags are faces of cells with tags, and have one tag each.
 
-    DOLFINx aborts all ranks if a facet has nodes of no cell, such as a facet of a body that is in
-    no physical group, and leaves out other facets that are not faces of a cell.
+    Without this check, DOLFINx would abort all ranks if a facet had nodes of no cell, such as a
+    facet of a body that is in no physical group, and would ignore other facets that are not faces
+    of a cell.
     """
     mesh, dim = model.mesh, model.getDimension()
     (cell,) = mesh.getElementTypes(dim)
     groups, bodies = (_grouped_entities(model, entity_dim) for entity_dim in (dim - 1, dim))
     for kind in mesh.getElementTypes(dim - 1):
+        # corner nodes (n, corners) and tags (n,) of facets
         *_, width, _, corners = mesh.getElementProperties(kind)
         elements = [mesh.getElementsByType(kind, entity)[1] for _, entity in groups]
         tags = np.repeat([tag for tag, _ in groups], [len(nodes) // width for nodes in elements])
         facets = np.concatenate(elements).reshape(-1, width)[:, :corners]
-        sides = partial(mesh.getElementFaceNodes, faceType=corners)
-        sides = mesh.getElementEdgeNodes if dim == 2 else sides
+        # corner nodes (m, corners) of those faces of cells that may be facets
+        nodes_of_faces = partial(mesh.getElementFaceNodes, faceType=corners)
+        sides = mesh.getElementEdgeNodes if dim == 2 else nodes_of_faces
         faces = np.concatenate([sides(cell, tag=body, primary=True) for _, body in bodies])
         faces = faces.reshape(-1, corners)
         faces = faces[np.isin(faces, facets).all(axis=1)]
+        # faces (m,) and facets (n,) have the same number if they have the same nodes in any order
         sets = np.sort(np.concatenate([faces, facets]), axis=1)
         number = np.unique(sets, axis=0, return_inverse=True)[1].ravel()
         face, facet = np.split(number, [len(faces)])
@@ -421,6 +444,7 @@ def _check_facets(model: Any, path: Path) -> None:
                 f"{model.getPhysicalName(dim - 1, wrong[0]) or wrong[0]} in '{path}' are not faces "
                 "of a cell: the volume is in no physical group, or its mesh is another one."
             )
+        # rows are sorted by facet, so those of a facet with two tags follow each other
         table = np.unique(np.column_stack([facet, tags]), axis=0)
         twice = np.flatnonzero(table[1:, 0] == table[:-1, 0])
         if len(twice):

@@ -43,11 +43,14 @@ class RigidMotion:
         return RigidMotion(self.rotation @ earlier.rotation, translation)
 
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
-        """Return the motion a fraction of the way to another; the centre (3,) moves straight."""
+        """Return the motion at a fraction of the way from this one to an end.
+
+        The rotation is about a fixed axis, and the centre (3,) moves along a straight line.
+        """
         turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
         R = turn.as_matrix() @ self.rotation
-        ends = [motion.applied_to(centre[:, None])[:, 0] for motion in (self, end)]
-        return RigidMotion(R, (1.0 - fraction) * ends[0] + fraction * ends[1] - R @ centre)
+        before, after = (motion.applied_to(centre[:, None])[:, 0] for motion in (self, end))
+        return RigidMotion(R, (1.0 - fraction) * before + fraction * after - R @ centre)
 
     def applied_to(self, points: Array) -> Array:
         """Return the positions (3, n) to which points (3, n) move [length]."""
@@ -198,13 +201,14 @@ class RigidObstacle:
         )
         triangles = smoothed.faces.reshape(-1, 4)[:, 1:]
         corners, normals = smoothed.points[triangles], smoothed.point_data["Normals"][triangles]
-        edges = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
+        # (triangles, 2, 3): times a vector from the first corner, the weights of the other corners
+        weights_of = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
 
         def distance(x: Array) -> tuple[Array, Array]:
             points = pyvista.PolyData(np.array(x.T))
             signed = points.compute_implicit_distance(surface)["implicit_distance"]
             cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
-            weights = np.einsum("nij,nj->ni", edges[cells], places - corners[cells, 0])
+            weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
             return signed, (normal / np.linalg.norm(normal, axis=1)[:, None]).T
@@ -251,14 +255,6 @@ class RigidObstacle:
 
         Raises:
             InputError: an argument is not a vector of finite numbers.
-
-        Example:
-            A ball that has rolled by a quarter of a turn along x.
-
-            >>> from math import pi
-            >>> from dolfinx_tresca import RigidSphere
-            >>> ball = RigidSphere(center=(0, 0, 1), radius=1)
-            >>> ball.move_to(translation=(pi / 2, 0, 0), rotation=(0, pi / 2, 0))
         """
         vector = _axial_vector("rotation", rotation)
         centre = self.centre if about is None else _coordinates("about", about)
@@ -292,13 +288,6 @@ class RigidObstacle:
 
         Raises:
             InputError: an argument is not a vector of finite numbers, or a name is unknown.
-
-        Example:
-            A punch that a force presses down, and that may tilt.
-
-            >>> from dolfinx_tresca import RigidPlane
-            >>> punch = RigidPlane(point=(0, 0, 1), normal=(0, 0, -1))
-            >>> punch.held_by(force=(0, 0, -500.0), free=("z", "rx", "ry"))
         """
         names = None if free is None else tuple(free)
         if isinstance(free, str) or not set(names or ()) <= set(FREEDOMS[3]):
@@ -355,13 +344,7 @@ class RigidObstacle:
 
 
 class RigidPlane(RigidObstacle):
-    """A rigid half-space behind a plane; in 2D a half-plane behind a line.
-
-    Example:
-        >>> from dolfinx_tresca import RigidPlane
-        >>> RigidPlane(point=(0, 0, 0), normal=(0, 0, 2))
-        <RigidPlane: a rigid plane through (0, 0, 0) with normal (0, 0, 1)>
-    """
+    """A rigid half-space behind a plane; in 2D a half-plane behind a line."""
 
     __slots__ = ()
 
@@ -390,13 +373,7 @@ class RigidPlane(RigidObstacle):
 
 
 class RigidSphere(RigidObstacle):
-    """A rigid ball, or the space around a spherical hole; in 2D a disc or the plane around it.
-
-    Example:
-        >>> from dolfinx_tresca import RigidSphere
-        >>> RigidSphere(center=(0, 0, -5), radius=5)
-        <RigidSphere: a rigid sphere around (0, 0, -5) of radius 5>
-    """
+    """A rigid ball, or the space around a spherical hole; in 2D a disc or the plane around it."""
 
     __slots__ = ()
 
@@ -432,11 +409,6 @@ class RigidCylinder(RigidObstacle):
     """A rigid infinite circular cylinder, or the space around a cylindrical hole, in 3D.
 
     In 2D the cross-section of a cylinder is a `RigidSphere`.
-
-    Example:
-        >>> from dolfinx_tresca import RigidCylinder
-        >>> RigidCylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=2, hollow=True)
-        <RigidCylinder: a rigid hollow cylinder through (0, 0, 0) along (0, 0, 1) of radius 2>
     """
 
     __slots__ = ()
@@ -476,10 +448,10 @@ class RigidCylinder(RigidObstacle):
 
 
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
-    """Return a function that checks and returns the present value of a user's argument.
+    """Return a function that returns the present value of a user's argument, as `check` returns it.
 
-    The value may be a Constant, which changes; `check` takes the name, for error messages, and the
-    value.
+    A Constant is checked at each call, other values only once. The arguments of `check` are the
+    name, for error messages, and the value.
     """
     if isinstance(value, fem.Constant):
         check(name, value.value)
@@ -494,9 +466,10 @@ def _constants_of(*values: Any) -> list[fem.Constant]:
 
 
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
-    """Return distances (n,) and normals (3, n) of a sphere or cylinder, at offsets (3, n) from it.
+    """Return distances (n,) and normals (3, n) of a sphere or a cylinder.
 
-    The offsets are from the centre or the axis [length]; a `hollow` obstacle is the outside.
+    The offsets (3, n) of points are from the centre or the axis [length]; a `hollow` obstacle is
+    the outside.
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0
@@ -521,5 +494,5 @@ def _axial_vector(name: str, value: npt.ArrayLike) -> Array:
 def _direction(name: str, value: npt.ArrayLike) -> Array:
     """Return the unit vector (3,) along a vector."""
     vector = _coordinates(name, value, nonzero=True)
-    vector /= np.abs(vector).max()
+    vector /= np.abs(vector).max()  # whose squares neither overflow nor vanish
     return np.asarray(vector / np.linalg.norm(vector))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -121,10 +122,11 @@ class ContactPair:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        """Check the arguments, without the mesh.
+        """Check the arguments, without the mesh, and replace lists of tags by their first tags.
 
         Raises:
-            InputError: a tag is not an integer, or an argument has a wrong type.
+            InputError: an argument has a wrong type or value, the sides have only a part of their
+                tags in common, an obstacle has a preload, or bonded surfaces have a gap.
         """
         kind = "dolfinx.mesh.MeshTags of facets, of type int32, such as read_gmsh(...).facet_tags"
         tags = getattr(self.facet_tags, "_cpp_object", self.facet_tags)
@@ -145,7 +147,7 @@ class ContactPair:
         check_type("name", self.name, str | None, "a string")
 
     def _merge_lists_of_tags(self) -> None:
-        """Replace a list of tags by its first tag, also in `facet_tags`."""
+        """Replace a list of tags by its first tag; `facet_tags` become `MergedTags`."""
         secondary, primary = (self._checked_tags(name) for name in SIDES)
         common = [tag for tag in secondary if tag in primary]
         if common and set(secondary) != set(primary):
@@ -153,6 +155,7 @@ class ContactPair:
                 f"the tags {shown(common)} are on both sides, and others are not: give two lists "
                 "without common tags, or the same list twice."
             )
+        # equal lists may have different orders; both sides get the same first tag
         sides = {"secondary": secondary, "primary": secondary if common else primary}
         for name, tags in sides.items():
             if tags:
@@ -162,7 +165,7 @@ class ContactPair:
             object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
 
     def _checked_tags(self, which: SideName) -> tuple[int, ...]:
-        """Return the tags that the user gave for a side; none for an obstacle."""
+        """Return the tags that the user gave for a side, each once; () for an obstacle."""
         given = getattr(self, which)
         if which == "primary" and isinstance(given, RigidObstacle):
             return ()
@@ -197,7 +200,7 @@ class ContactPair:
         return math.inf if self.search_distance is None else self.search_distance
 
     def given_tags(self, which: SideName) -> tuple[Any, tuple[int, ...]]:
-        """Return the MeshTags that the user gave, and the tags of a side, if it has any."""
+        """Return the MeshTags that the user gave, and all tags of a side; () for an obstacle."""
         tag, tags = getattr(self, which), self.facet_tags
         if isinstance(tag, RigidObstacle):
             return tags, ()
@@ -236,34 +239,45 @@ def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
-    """Check the user's argument `pairs` and return it as a list."""
+    """Return the user's argument `pairs` as a list, if it is one of contact pairs.
+
+    An InputError is raised if there is none, or if two have a name or two surfaces in common.
+    """
     check_type("pairs", pairs, Iterable, "a sequence", " Write [pair] for a single one.")
     result = list(pairs)
     for number, pair in enumerate(result):
         check_type(f"pairs[{number}]", pair, ContactPair, "a ContactPair")
     if not result:
         raise InputError("a contact problem needs at least one ContactPair, found none.")
-    seen: set[Any] = set()  # pairs of surfaces, and names
+    names: set[str | None] = set()
+    earlier: set[frozenset[Any]] = set()  # the two surfaces of earlier pairs, in any order
     for pair in result:
-        secondary, primary = (pair.given_tags(name)[1] or (pair.primary,) for name in SIDES)
-        sides = {frozenset((tag, other_tag)) for tag in secondary for other_tag in primary}
-        if sides & seen:
+        sides = []
+        for which in SIDES:
+            # another MeshTags may use the same numbers for other surfaces
+            given, tags = pair.given_tags(which)
+            owner = getattr(given, "_cpp_object", given)
+            sides.append([(owner, tag) for tag in tags] or [pair.primary])
+        surfaces = set(map(frozenset, product(*sides)))
+        if surfaces & earlier:
             raise InputError(
                 f"two pairs are between the surfaces {pair.side('secondary')} and "
                 f"{pair.side('primary')}: that would constrain their nodes twice. Give one pair."
             )
-        if pair.name is not None and pair.name in seen:
+        if pair.name is not None and pair.name in names:
             raise InputError(f"two pairs have the name {pair.name}: give each a name of its own.")
-        seen |= {*sides, pair.name}
+        names.add(pair.name)
+        earlier |= surfaces
     return result
 
 
 class _OnPair:
-    """Base class of goals, which checks their attributes."""
+    """Base class of goals; an attribute that is wrong raises an InputError."""
 
     pair: int
 
     def __post_init__(self) -> None:
+        """Check the attributes; a radius and an exponent become floats."""
         checked_integer("pair", self.pair, 0)
         for name, value in vars(self).items():
             if name in ("point", "direction"):
@@ -279,9 +293,6 @@ class NormalForce(_OnPair):
 
     Attributes:
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair.
     """
 
     pair: int = 0
@@ -294,16 +305,8 @@ class ContactForce(_OnPair):
     The force includes pressure and friction; see `ContactSolution.resultants`.
 
     Attributes:
-        direction: (d,) direction of the component, a vector of any length.
+        direction: (d,) direction of the component, a vector of any length but zero.
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or `direction` is not a nonzero vector.
-
-    Example:
-        >>> from dolfinx_tresca import ContactForce
-        >>> ContactForce(direction=(1, 0, 0))  # the component along x
-        ContactForce(direction=(1, 0, 0), pair=0)
     """
 
     direction: npt.ArrayLike
@@ -323,14 +326,6 @@ class MeanPressure(_OnPair):
         point: (d,) centre of the patch [length], on the secondary side or near it.
         radius: radius R of the patch [length].
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or the point or the radius is wrong.
-
-    Example:
-        >>> from dolfinx_tresca import MeanPressure
-        >>> MeanPressure(point=(0, 0, 0), radius=0.5)
-        MeanPressure(point=(0, 0, 0), radius=0.5, pair=0)
     """
 
     point: npt.ArrayLike
@@ -348,12 +343,8 @@ class MeanSlip(_OnPair):
     Attributes:
         point: (d,) centre of the patch [length], on the secondary side or near it.
         radius: radius of the patch [length].
-        direction: (d,) direction of the component, a vector of any length.
+        direction: (d,) direction of the component, a vector of any length but zero.
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or the point, the radius or the direction is
-            wrong.
     """
 
     point: npt.ArrayLike
@@ -370,23 +361,19 @@ class PressureNorm(_OnPair):
     For a given force the norm is smallest if the pressure is uniform.
 
     Attributes:
-        exponent: m, at least 1; the norm for m = 1 is the normal force.
+        exponent: m, finite and at least 1; the norm for m = 1 is the normal force.
         pair: number of the pair in the list of the problem, from 0 on.
-
-    Raises:
-        InputError: `pair` is not the number of a pair, or the exponent is less than 1 or infinite.
     """
 
     exponent: float
     pair: int = 0
 
 
-#: All goals.
 Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip | PressureNorm
 
 
 def checked_goal(goal: Goal, pairs: int, dim: int) -> Goal:
-    """Check the user's argument `goal` and return it. Not collective."""
+    """Return the user's argument `goal`, if it suits a number of pairs and a dimension of space."""
     kinds = "a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm"
     check_type("goal", goal, Goal, kinds)
     if goal.pair >= pairs:

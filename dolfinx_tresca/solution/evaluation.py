@@ -12,12 +12,13 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, Mask
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
+from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, relative_change
 from dolfinx_tresca.options import SolverOptions
@@ -30,6 +31,7 @@ from dolfinx_tresca.solution.forces import (
     resultants_on,
 )
 from dolfinx_tresca.solvers.convergence import BALANCED, energy_norm, relative_error
+from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
@@ -71,7 +73,7 @@ class NodeCounts:
 
 
 class PairState(NamedTuple):
-    """How far a pair is closed; `opening` is by how much its sides have moved apart at most."""
+    """How many `nodes` of a pair are `pressed`, and its `opening`; see `ContactSolution`."""
 
     pressed: int
     nodes: int
@@ -128,8 +130,12 @@ def evaluate(
 ) -> tuple[Evaluation, SlipHistory]:
     """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
 
-    The slip history that is returned is the one after this solution, if it becomes a load step.
+    With `estimate`, the error of the mesh is estimated, too.
+
+    Returns:
+        the results; and the slip history that follows if this solution becomes a load step.
     """
+    # the displacement that belongs to the multipliers x and c, the gradient r, and their errors
     B, comm, x, c = dual.jump, dual.jump.comm, solution.multipliers, solution.c
     in_frames = zero_like(B.system.f, "w")  # with frames of bodies, v in them; else w itself
     solved = in_frames.x.petsc_vec
@@ -140,19 +146,19 @@ def evaluate(
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
 
-    # jumps in B's rows, and by how much gaps have closed at nodes; tools move the primary side
+    # `increment`: slip of the step in B's rows; `closing`: by how much gaps have closed at nodes;
+    # both include the motion of tools, which is not part of u and moves the primary side
     jump, by_tools = B.of_unknowns(solved), dual.jump_of_tools(c)
     normal = np.flatnonzero(~B.is_tangential)
     closing = np.concatenate(B.closings(u))
     closing[B.row_nodes[normal]] += (by_tools * B.length_scale)[normal]
     increment = jump + by_tools - dual.offset
-    origin = dual.history.origin.copy()  # the next step starts from where tools are now
-    origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     states, steps, before, slip, nodal_results = node_values(dual, solution, r, increment)
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
-    dissipation, increment = float(dual.inner(x, slip)), increment * B.length_scale
+    dissipation = float(dual.inner(x, slip))
 
-    stress, pairs = x * B.stress_scale, B.by_pair
+    # fields, openings and nodal forces of each pair, in physical units
+    stress, moved, pairs = x * B.stress_scale, increment * B.length_scale, B.by_pair
     fields: list[SurfaceFields] = []
     openings: list[float] = []
     forces: list[Array] = []
@@ -168,8 +174,8 @@ def evaluate(
             "state": states[nodes],
             "normal": operators.normals,
         }
-        if tangential_count > 0:
-            since = pair.nodal_vectors(increment)[:, 1:]
+        if tangential_count > 0:  # on any rank
+            since = pair.nodal_vectors(moved)[:, 1:]
             values |= {"traction": tractions[:, 1:], "slip": before[nodes, :-1] + since}
             values |= {"slip_path": paths[nodes]}
             values |= {"slip_increment": since} if dual.history.begun else {}
@@ -177,13 +183,17 @@ def evaluate(
         openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
         forces.append(operators.weights[:, None] * tractions)
     pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
+
+    # results of the whole scene
+    origin = dual.history.origin.copy()  # the next step starts from where tools are now
+    origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
     at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
     peak_pressure, greatest_slip, greatest_total_slip = largest_abs(comm, *at_pressed)
     primal, dual_energy = dual.energies(x, solved, c, error)
-    if B.frames is not None:
+    if B.frames is not None:  # the work of loads on the rigid motions of the frames
         work = B.frames.work(B.system.assemble_forces())
         primal, dual_energy = primal - work, dual_energy - work
     evaluation = Evaluation(
@@ -215,8 +225,8 @@ def energy_errors(
 ) -> dict[str, Any]:
     """Return the fields of an `Evaluation` that tell its error in the energy norm. Collective.
 
-    The displacement that belongs to the multipliers has an `error` [energy^(1/2)]. The error of the
-    mesh is that of an `estimated` displacement, if there is one.
+    `error` [energy^(1/2)] is that of the displacement that belongs to the multipliers. The error of
+    the mesh is estimated from the displacement `estimated`; with None it stays unknown.
     """
     bound = dual.energy_bound(point.x, point.r, error)
     # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
@@ -248,8 +258,8 @@ def forces_on(
 ) -> dict[str, Any]:
     """Return the fields of an `Evaluation` with contact forces and their resultants. Collective.
 
-    At the nodes of each pair the contact forces (n, 1 + d) [force] are a pressing and a tangential
-    one.
+    For each pair, `forces` (n, 1 + d) [force] are the pressing force and the tangential force
+    vector at each node. The forces of the multipliers x (size,) act on the bodies displaced by u.
     """
     B, comm, V = dual.jump, dual.jump.comm, u.function_space
     in_space = zero_like(B.system.f, "f")
@@ -257,6 +267,7 @@ def forces_on(
     in_space.x.array[: len(owned)] = owned if B.frames is None else B.frames.into_space(owned)
     in_space.x.scatter_forward()
     on_nodes = B.system.displacement(in_space, "contact_force")
+    # on linear bodies without frames, forces act at the undeformed places
     displaced = u if B.frames is not None or B.system.is_tangent else None
     on_bodies = nodal_resultants(V, owned_values(on_nodes), displaced, bodies.label, bodies.count)
     on_secondary = [
@@ -286,10 +297,11 @@ def node_values(
     the slip origin, divided by `JumpOperator.length_scale`.
 
     Returns:
-        the states (n,); slip vectors and increments of the slip paths (n, d + 1) of this step
-        [length]; those of all earlier steps; the slip (size,) in B's rows, scaled like the
-        increment; and the fields of an `Evaluation` with the number of nodes in each state, and
-        with the changes of tractions and slip bounds up to each node's local minimiser.
+        states: (n,) values of `ContactState`.
+        steps: (n, d + 1) slip vectors, and increments of the slip paths, of this step [length].
+        before: (n, d + 1) slip vectors and slip paths of all earlier steps [length].
+        slip: (size,) the increment where nodes slip, else zero.
+        results: the fields `counts`, `local_error` and `bound_error` of an `Evaluation`.
     """
     B, x = dual.jump, solution.multipliers
     # nodes are in the state that they would take if their neighbours were fixed
@@ -299,12 +311,13 @@ def node_values(
     slip = np.zeros_like(increment)
     slipping = section.tangential[~stick[section.node]]
     slip[slipping] = increment[slipping]
+    # errors: the changes of tractions and of slip bounds from x to these states
     change, largest, rounding = dual.local_change(x, r)
-    limit = max(change, EDGE * largest)  # of a node's traction, up to which its state is undecided
     is_finite = np.isfinite(section.radius)
     bounds, bounds_at_target = section.radius[is_finite], target_section.radius[is_finite]
     bound_change, largest_bound = largest_abs(B.comm, bounds_at_target - bounds, bounds)
 
+    # which nodes (n,) are bonded, have friction, stick, have a positive slip bound, are pressed
     normal = np.flatnonzero(~B.is_tangential)
     node_of_row, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]
     bonded = np.repeat([pair.bonded for pair in B.pairs], numbers)
@@ -315,29 +328,23 @@ def node_values(
     pressed = np.zeros(len(bonded), dtype=np.bool_)
     # strict inequality: a node without gap and without load is not pressed
     pressed[node_of_row] = bonded[node_of_row] | (target[normal] > 0.0)
-    # where tractions are near the edge of their friction disc, or pressures near zero
-    scale = np.ones(len(target_section.radius))
-    scale[target_section.node] = B.stress_scale[target_section.tangential]
-    has_circle = np.isfinite(target_section.radius) & (target_section.radius > 0.0)
-    radius = np.where(has_circle, target_section.radius, 0.0)
-    away = np.abs(target_section.norms(target) - radius) * scale
-    undecided = (has_circle & (away <= limit))[nodes]
-    undecided[node_of_row] |= np.abs(target * B.stress_scale)[normal] <= limit
+    undecided = _near_another_state(B, target_section, target, max(change, EDGE * largest))[nodes]
 
+    # the first condition that a node meets is its state
     conditions = {
         ContactState.BONDED: bonded,
         ContactState.STICK: has_friction & pressed & sticks,
         ContactState.SLIP: has_friction & pressed,
         ContactState.PRESSED: pressed,
-        ContactState.OPEN_STICK: has_friction & rubs & sticks,  # a positive slip bound
+        ContactState.OPEN_STICK: has_friction & rubs & sticks,
         ContactState.OPEN_SLIP: has_friction & rubs,
     }
-    values = [float(state) for state in conditions]
-    states = np.select(list(conditions.values()), values, float(ContactState.OPEN))
+    states = np.select([*conditions.values()], [*map(float, conditions)], float(ContactState.OPEN))
     vectors = np.vstack(B.nodal_vectors(slip * B.length_scale))[:, 1:]
     slips_before = zip(B.pairs, dual.history.slipped, strict=True)
     before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
     path = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
+    # in the order of `NodeCounts`, without bonded nodes
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
     sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
@@ -349,6 +356,21 @@ def node_values(
     return states, np.column_stack([vectors, path]), before, slip, results
 
 
+def _near_another_state(B: JumpOperator, section: FeasibleSet, x: Array, limit: float) -> Mask:
+    """Return for each disc whether a change of tractions x by `limit` [stress] changes the state.
+
+    The tractions are so near to the edge of their friction disc, or the pressure is so near to 0.
+    """
+    scale = np.ones(len(section.radius))
+    scale[section.node] = B.stress_scale[section.tangential]
+    has_circle = np.isfinite(section.radius) & (section.radius > 0.0)
+    radius = np.where(has_circle, section.radius, 0.0)
+    result: Mask = has_circle & (np.abs(section.norms(x) - radius) * scale <= limit)
+    normal = np.flatnonzero(~B.is_tangential)
+    result[B.row_nodes[normal]] |= np.abs(x * B.stress_scale)[normal] <= limit
+    return result
+
+
 def status_of_fields(
     dual: DualProgram,
     solution: DualSolution,
@@ -356,11 +378,12 @@ def status_of_fields(
     options: SolverOptions,
     requested: SolverOptions,
 ) -> ContactStatus:
-    """Return the status of a solve from its fields, which are what the user gets. Collective.
+    """Return the status of a solve from the error bound of its fields. Collective.
 
-    The bound of their error, from the last multipliers, may be larger than that of the iteration:
-    then rounding prevents the accuracy that `options` ask for. It may also be small enough for what
-    the user requested although the iteration, whose `options` may ask for more, ended early.
+    The user gets these fields. Their bound may be larger than the bound with which the iteration
+    has converged: then the solve has stagnated, since rounding prevents the accuracy. The bound may
+    also be small enough for the accuracy that the user `requested` although the iteration, whose
+    `options` may ask for more, has ended early: then the solve has converged.
     """
     if solution.status is ContactStatus.STOPPED:
         return ContactStatus.STOPPED
@@ -369,14 +392,12 @@ def status_of_fields(
     if not ended_early and not error > SLACK * solution.wanted:
         return ContactStatus.CONVERGED
 
-    # the bound of the error is that of multipliers in equilibrium
+    # the bound of the error presumes equilibrium of floating bodies
     balanced = dual.constraints.imbalance(solution.multipliers, solution.c) <= BALANCED
     if requested.rtol is not None:
         as_requested = solution.residuals[-1] <= requested.rtol and requested != options
-    elif requested.balanced:  # by an estimate of the mesh's error, which the iteration knows
-        as_requested = False
-    else:
-        as_requested = error <= SLACK * float(requested.accuracy)
+    else:  # a balanced accuracy follows from the mesh's error, by which the iteration has judged
+        as_requested = not requested.balanced and error <= SLACK * float(requested.accuracy)
     if balanced and as_requested:
         return ContactStatus.CONVERGED
     return solution.status if ended_early else ContactStatus.STAGNATED

@@ -207,11 +207,9 @@ class Surface:
         dim, shares = V.mesh.geometry.dim, -(-len(pairs) // 50)
         for start in range(0, len(pairs), shares):
             group = pairs[start : start + shares]
-            facets = np.unique(
-                np.concatenate([pair.facet_tags.find(pair.secondary) for pair in group])
-            )
+            facets = [pair.facet_tags.find(pair.secondary) for pair in group]
             mesh, parent_nodes, entity_maps = compat.create_submesh(
-                V.mesh, V.mesh.topology.dim - 1, facets
+                V.mesh, V.mesh.topology.dim - 1, np.unique(np.concatenate(facets))
             )
             scalar = fem.functionspace(mesh, ("Lagrange", 1))
             vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
@@ -226,9 +224,10 @@ class Surface:
         return surfaces
 
     def function(self, name: str, nodes: LocalNumbers, values: Array) -> fem.Function:
-        """Return a Function on the surface, scalar or vector, of degree 1. Collective.
+        """Return the Function on the surface, of degree 1, with values at some nodes. Collective.
 
-        Nodes of V that this rank owns have values (n,) or (n, d), others zero or the state OUTSIDE.
+        The values (n,) or (n, d) are those of nodes of V (n,) that this rank owns; at nodes that no
+        rank gives, the Function is zero, or has the state OUTSIDE.
         """
         dim = self.mesh.geometry.dim
         columns, original = (dim, self.vector) if values.ndim == 2 else (1, self.scalar)
@@ -254,9 +253,10 @@ class Surface:
     def fields(
         self, operators: PairOperators, u: fem.Function, values: Mapping[str, Array]
     ) -> SurfaceFields:
-        """Return the fields of a solution from values (n,) or (n, d) at nodes. Collective.
+        """Return the fields of a solution from name -> values at the pair's nodes. Collective.
 
-        Fields of friction, and the slip of a first step, may be absent.
+        Values are (n,) or (n, d). Without friction there is no traction and no slip, and in the
+        first step no `slip_increment`, which then is the slip.
         """
         functions: dict[str, Any] = dict.fromkeys(("traction", "slip", "slip_path"))
         functions |= {
@@ -283,11 +283,11 @@ class Surface:
 
 
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
-    """Return slip vectors and paths (n, d + 1) [length] from another mesh, by pair. Collective.
+    """Return each pair's slip vectors and paths (n, d + 1) [length], from another mesh. Collective.
 
-    They are interpolated on the nearest facets that have a node with multipliers; other nodes are
-    left out. Linear fields are exact, for instance at the midpoints of edges, where refined meshes
-    have nodes. Values are zero farther from the surface than its longest edge.
+    They are interpolated on the nearest facets, between those of their nodes that carry
+    multipliers. Linear fields are exact, for instance at the midpoints of edges, where refined
+    meshes have nodes. Values are zero farther from the surface than its longest edge.
     """
     x = jump.system.V.tabulate_dof_coordinates()
     counts = [len(pair.nodes) for pair in jump.pairs]
@@ -304,16 +304,20 @@ def _slips_at(fields: SurfaceFields, points: Array) -> Array:
     corners = V.tabulate_dof_coordinates()[V.dofmap.list]
     edges = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3)
     reach = comm.allreduce(edges.max(initial=0.0), op=MPI.MAX)
+    # each rank answers for the points of all ranks; the rank with the nearest facet is right
     asked = comm.allgather(points)
     answers = _on_nearest_facets(fields, np.concatenate(asked))
     ends = np.cumsum([len(points_of_rank) for points_of_rank in asked])
-    of_ranks = np.array(comm.alltoall(np.split(answers, ends[:-1])))
+    of_ranks = np.array(comm.alltoall(np.split(answers, ends[:-1])))  # (ranks, points, d + 2)
     nearest = of_ranks[of_ranks[:, :, 0].argmin(axis=0), np.arange(len(points))]
     return np.where(nearest[:, :1] <= reach, nearest[:, 1:], 0.0)
 
 
 def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
-    """Return distance, slip and path (n, d + 2) at points of this rank's nearest facets."""
+    """Return distance, slip and path (n, d + 2) where this rank's facets are nearest to points.
+
+    The distance is infinite if the rank has no facet with multipliers. Not collective.
+    """
     mesh, V = fields.mesh, fields.pressure.function_space
     assert fields.slip is not None and fields.slip_path is not None
     carries = zero_like(fields.pressure, "carries")
@@ -335,5 +339,6 @@ def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
         function.eval(points + away, cells).reshape(len(points), -1)
         for function in (carries, fields.slip, fields.slip_path)
     )
+    # nodes without multipliers, where fields are zero, do not count in the interpolation
     slips = np.hstack([slip, path]) / np.where(share > 0.0, share, 1.0)
     return np.column_stack([np.linalg.norm(away, axis=1), slips])

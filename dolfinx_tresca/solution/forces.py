@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
 from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
-from dolfinx_tresca._base.parallel import largest_abs, reduce_array
+from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -43,11 +43,7 @@ class Resultant:
     point: Array
 
     def about(self, point: npt.ArrayLike) -> Resultant:
-        """Return the resultant about another point (d,). Not collective.
-
-        Raises:
-            InputError: the point does not have d finite coordinates.
-        """
+        """Return the resultant about another point, d finite coordinates. Not collective."""
         centre = checked_vector("the point of a moment", point, len(self.point))
         return Resultant(self.force, self.moment + moments(self.point - centre, self.force), centre)
 
@@ -73,9 +69,9 @@ def moments(arm: Array, force: Array) -> Array:
 def resultants_on(
     comm: Any, places: Array, forces: Array, index: Indices, count: int, point: Array
 ) -> tuple[Resultant, ...]:
-    """Return resultants of forces (n, d) at places (n, d), about a point. Collective.
+    """Return `count` resultants of forces (n, d) at places (n, d), about a point (d,). Collective.
 
-    The index (n,) says to which of the resultants, `count` in all, each force belongs.
+    The index (n,) is the number of the resultant to which each force belongs.
     """
     both = np.hstack([forces, moments(places - point, forces)])
     sums = np.zeros((count, both.shape[1]))
@@ -87,11 +83,11 @@ def resultants_on(
 def nodal_resultants(
     V: Any, forces: Array, displaced: fem.Function | None, index: Indices, count: int
 ) -> tuple[Resultant, ...]:
-    """Return resultants of nodal forces about the middle of their points. Collective.
+    """Return resultants of forces on nodes, about the centre of all loaded nodes. Collective.
 
-    This is the centre of the box of all points with forces; without forces, the origin. Forces act
-    on the displaced nodes, or with None on the undeformed bodies; for index and count see
-    `resultants_on`.
+    This is the centre of the nodes' bounding box; without forces, the origin. The forces (owned
+    degrees of freedom of V,) act on the displaced nodes, or with None on the undeformed bodies; for
+    index (owned nodes,) and count see `resultants_on`.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     rows = forces.reshape(-1, dim)
@@ -100,8 +96,8 @@ def nodal_resultants(
         places = places + owned_values(displaced)
     loaded = places[rows.any(axis=1)]
     bounds = [loaded.min(axis=0, initial=np.inf), (-loaded).min(axis=0, initial=np.inf)]
-    low, high = reduce_array(comm, bounds, MPI.MIN)
-    centre = 0.5 * (low - high) if np.isfinite(low).all() else np.zeros(dim)
+    low, negated_high = reduce_array(comm, bounds, MPI.MIN)
+    centre = 0.5 * (low - negated_high) if np.isfinite(low).all() else np.zeros(dim)
     return resultants_on(comm, places, rows, index, count, centre)
 
 
@@ -110,12 +106,13 @@ def resultants_between(
 ) -> dict[tuple[int, int], Resultant]:
     """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
-    Forces of obstacles, and forces within a body, are left out. Moments are about the mean of the
+    Forces of obstacles, and forces within a body, do not count. Moments are about the mean of the
     points at which the forces act, weighted by their lengths. Forces (n, d) act on the secondary
     nodes of each pair; the label (owned nodes,) is the body of a node.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
-    # opposite primary nodes exert a share of the force on a secondary node
+    # an entry for each primary node that exerts a share of the force on a secondary node: the
+    # bodies of both nodes, and the share as a force on the body with the lower number
     shares = vstack([pair.primary for pair in pairs], format="coo")
     secondary = np.concatenate([pair.nodes for pair in pairs])[shares.row]
     partners, column = np.unique(shares.col, return_inverse=True)
@@ -123,21 +120,24 @@ def resultants_between(
     on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
     weights = np.linalg.norm(on_lower, axis=1)[:, None]
+    # sum force, moment about the origin, weighted place and weight for each two bodies
     rows = np.hstack([on_lower, moments(places, on_lower), weights * places, weights])
-    acts = weights[:, 0] > 0.0
-    bodies = np.column_stack([np.minimum(on, by), np.maximum(on, by)])[acts]
-    own_bodies, index = np.unique(bodies, axis=0, return_inverse=True)
-    own_sums = np.zeros((len(own_bodies), rows.shape[1]))
-    np.add.at(own_sums, index.ravel(), rows[acts])
+    acts = weights[:, 0] > 0.0  # not within a body
+    bodies = np.column_stack([np.minimum(on, by), np.maximum(on, by)])
 
-    sums: dict[tuple[int, int], Array] = {}
-    for bodies_of_rank, sums_of_rank in comm.allgather((own_bodies.tolist(), own_sums)):
-        for (i, j), row in zip(bodies_of_rank, sums_of_rank, strict=True):
-            sums[i, j] = sums[i, j] + row if (i, j) in sums else row
+    def summed(bodies: npt.NDArray[Any], rows: Array) -> tuple[npt.NDArray[Any], Array]:
+        """Return the different rows of bodies (n, 2), ascending, and the sums of their rows."""
+        different, index = np.unique(bodies, axis=0, return_inverse=True)
+        sums = np.zeros((len(different), rows.shape[1]))
+        np.add.at(sums, index.ravel(), rows)
+        return different, sums
+
+    own = summed(bodies[acts], rows[acts])
+    both, sums = summed(*(gather_rows(comm, array) for array in own))
     origin, result = np.zeros(dim), {}
-    for both, row in sorted(sums.items()):
+    for (i, j), row in zip(both.tolist(), sums, strict=True):
         force, moment, place = np.split(row[:-1], [dim, len(row) - dim - 1])
-        result[both] = Resultant(force, moment, origin).about(place / row[-1])
+        result[i, j] = Resultant(force, moment, origin).about(place / row[-1])
     return result
 
 
@@ -149,6 +149,7 @@ class Supports:
         residual: internal minus external forces at u, a form of rank 1.
         u: the displacement in this form; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
+        facet_tags: tags of the surfaces on which supports may be.
     """
 
     residual: ufl.Form
@@ -180,16 +181,7 @@ class Supports:
             loads = self._at_nodes(ufl.replace(self.residual, {u: fem.Function(u.function_space)}))
             forces = frames.into_space(forces - loads) + loads
         forces -= self.contact_force.x.array[: len(forces)]
-        free = ~self.system.prescribed
-        contact = self.contact_force.x.array
-        unbalanced, *largest = largest_abs(V.mesh.comm, forces[free], forces, contact)
-        # solutions of the default accuracy leave less than a hundredth of this
-        if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding():
-            raise ContactError(
-                "loads, prescribed values or coefficients have changed since the solution, or it "
-                f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
-                "the largest force. Call solve() before reaction()."
-            )
+        self._check_balance(forces)
         held, springs = self._held_and_springs(where)
         forces = np.where(held, forces, 0.0)
         if springs:
@@ -197,6 +189,18 @@ class Supports:
         index = np.zeros(V.dofmap.index_map.size_local, dtype=np.intp)
         (result,) = nodal_resultants(V, forces, displaced, index, 1)
         return result if point is None else result.about(point)
+
+    def _check_balance(self, forces: Array) -> None:
+        """Check that no forces (owned degrees of freedom,) are left at free nodes. Collective."""
+        free, contact = ~self.system.prescribed, self.contact_force.x.array
+        unbalanced, *largest = largest_abs(self.system.comm, forces[free], forces, contact)
+        # solutions of the default accuracy leave less than a hundredth of this
+        if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding():
+            raise ContactError(
+                "loads, prescribed values or coefficients have changed since the solution, or it "
+                f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
+                "the largest force. Call solve() before reaction()."
+            )
 
     def _at_nodes(self, form: Any) -> Array:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
@@ -206,8 +210,8 @@ class Supports:
     def _rounding(self) -> float:
         """Return the size of rounding errors of the forces [force]. Collective.
 
-        If every second node moves against the others, the terms of an internal force add up and do
-        not cancel; 1e-10 of this sum is far above rounding, and far below a load.
+        They are below 1e-10 of the forces of a displacement as large as u whose sign changes from
+        node to node: there the terms of an internal force do not cancel. Loads are far above this.
         """
         u = self.u
         opposite = fem.Function(u.function_space)
@@ -219,7 +223,11 @@ class Supports:
         return 1e-10 * largest
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:
-        """Return the mask of owned degrees of freedom of a support, and its springs. Collective."""
+        """Return which owned degrees of freedom a support prescribes, and its springs. Collective.
+
+        The support is a Dirichlet condition, or the conditions and springs on a surface, given by
+        its tag. Springs are the terms of the residual on the surface that depend on u; else None.
+        """
         V = self.contact_force.function_space
         held = np.zeros(len(self.system.prescribed), dtype=np.bool_)
         tag, springs = integer(where), []

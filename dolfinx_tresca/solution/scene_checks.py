@@ -31,7 +31,7 @@ from dolfinx_tresca.solvers.feasible_set import FrictionCones
 
 
 class Limit(NamedTuple):
-    """The values of a measure above which it is noticed in the log, and above which theory ends."""
+    """The value of a measure from which it is `noticed` in the log, and the `largest` in theory."""
 
     noticed: float
     largest: float
@@ -80,10 +80,12 @@ class Departure(NamedTuple):
 
 
 def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set[Limit]) -> str:
-    """Return why a solution is outside of the theory, or "". Collective.
+    """Return why a solution is outside of the theory, or "" if it is within it. Collective.
 
-    Departures within the limits are logged once: `noticed` has the limits of those that were.
+    Departures within the theory that are large enough to be noticed are logged instead, each kind
+    only once: their limits are added to `noticed`.
     """
+    # the first rank decides, since values of ranks may differ by rounding
     departures = comm.bcast([each for each in departures if each.value > each.limit.noticed])
     outside = [departure for departure in departures if departure.value > departure.limit.largest]
     told = outside or [departure for departure in departures if departure.limit not in noticed]
@@ -96,11 +98,15 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
-    """Return the departures of the bodies that turn and that deform most. Collective."""
+    """Yield the departures of the body that turns most and of the body that deforms most.
+
+    Collective. A body turns by the rotation of the rigid motion that is nearest to u, and its
+    strain is the largest displacement beyond this motion, divided by the body's diagonal.
+    """
     comm, values, label = u.function_space.mesh.comm, owned_values(u), bodies.label
     dim, sums = values.shape[1], RankReductions(comm)
     diagonal = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
-    # the rigid motion of each body that is nearest to u, by least squares
+    # the rigid motion of each body by least squares; a rotation has the angle 1 / diagonal
     modes = bodies.rigid_modes(dim)
     normal_equations = sums.sparse_inner(modes, modes).tocsc()
     rigid = spsolve(normal_equations, sums.inner(modes, values.ravel()))
@@ -131,12 +137,14 @@ def motions_of_pairs(
     tractions: Array,
     places: Array,
 ) -> Iterator[Departure]:
-    """Return the departures of pairs with small sliding. Collective.
+    """Yield the departures of obstacles that turn, and of pairs whose nodes slide. Collective.
 
-    Bonded pairs, and pairs with a plane, which has the same normal everywhere, are left out, except
-    for the rotation of obstacles that forces hold. The surfaces were paired at the displacement
-    `paired`. In the solution u, tractions are (size,) [stress], and `places` the motions (pairs, 3,
-    4).
+    Slip is no departure with finite sliding, on a plane, which has the same normal everywhere, and
+    where surfaces are bonded. Obstacles turn in a solve only if forces hold them.
+
+    The surfaces were paired at the displacement `paired`. In the solution, u is the displacement,
+    tractions (size,) [stress] are those in B's rows, and `places` (pairs, 3, 4) the motions of the
+    obstacles, as in `RigidMotion.matrix`.
     """
     V, since_pairing = u.function_space, u.copy()
     since_pairing.x.array[:] -= paired.x.array
@@ -159,7 +167,7 @@ def motions_of_pairs(
 
 
 def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
-    """Return the displacements (n, d) of places (n, d) that go with an obstacle."""
+    """Return the displacements (n, d) of places (n, d) on an obstacle that moves."""
     points = in_space(places).T
     return (end.applied_to(start.reversed_from(points)) - points).T[:, : places.shape[1]]
 
@@ -167,7 +175,7 @@ def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
 def _motions_of_pair(
     V: Any, pair: ContactPair, operators: PairOperators, jumps: Array, force: Array, shape: Array
 ) -> Iterator[Departure]:
-    """Return the departures of a pair. Collective.
+    """Yield how far pressed nodes slide, and how much force is beyond the other side. Collective.
 
     The jumps (n, d) [length] count from the pairing at the displacement `shape` (nodes, d)
     [length], and nodes have the normal forces (n,).
@@ -177,6 +185,7 @@ def _motions_of_pair(
     pressed: Mask = force > 0.0
     length = np.linalg.norm(slips, axis=1)
     places, widths = operators.places[pressed], operators.sizes[pressed]
+    # the largest values of all pressed nodes: size, slip, slip divided by size; and their box
     lengths = np.column_stack([widths, length[pressed], length[pressed] / widths])
     corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
     extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
@@ -200,7 +209,10 @@ def _motions_of_pair(
 
 
 def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
-    """Return whether displaced nodes (n,) have an opposed facet within their size. Collective."""
+    """Return which displaced nodes (n,) have an opposed primary facet within their size.
+
+    The jumps (n, d) are the displacements from the nodes' places. Collective.
+    """
     points, normals = in_space(operators.places + jumps), in_space(operators.normals)
     reach = operators.sizes
     pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
@@ -221,10 +233,8 @@ def hint_at_scene(
             facets = pair.facet_tags.find(pair.primary)
             nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
             sides.append(nodes[nodes < V.dofmap.index_map.size_local])
-        on_bodies = np.array(
-            [np.bincount(bodies.label[side], minlength=bodies.count) for side in sides]
-        )
-        touches = reduce_array(comm, on_bodies) > 0  # (sides, bodies)
+        counts = [np.bincount(bodies.label[side], minlength=bodies.count) for side in sides]
+        touches = reduce_array(comm, counts) > 0  # (sides, bodies)
         if len(sides) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
             warn(
                 comm,
@@ -250,8 +260,7 @@ def hint_at_overlap(
 ) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
-    (extent,) = largest_abs(comm, points)
-    rounding = ROUNDING * extent
+    rounding = ROUNDING * largest_abs(comm, points)[0]
     for pair, paired, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
@@ -289,10 +298,10 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, eigenvalue: flo
     section = cones.section(x)
     face = section.face(2.0 * x)  # nodes on their circles slip
     by_pressure, by_slip = cones.slopes(x, face.slip)
+    # the mean decrease of bounds from rest to the present slip
     at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x).radius
     slips = face.slip & (cones.slip > 0.0)
-    mean = np.zeros_like(by_slip)
-    np.divide(section.radius - at_rest, cones.slip, out=mean, where=slips)
+    mean = np.divide(section.radius - at_rest, cones.slip, out=np.zeros_like(by_slip), where=slips)
     steepest = min(by_slip.min(initial=0.0), mean.min(initial=0.0))
     least = [by_pressure.min(initial=0.0), eigenvalue * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
