@@ -181,7 +181,7 @@ class LinearisedContact:
         missing, wanted_length, converged = resultants, 0.0, False
         for count in range(MOST_STEPS):
             maps = self._maps(model.diagonal, transpose)
-            step_y, step_c = model.solve_between(
+            step_y, step_c = model.solve_on_face(
                 maps, residual, constraints.columns, constraints.softness, missing
             )
             length = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
