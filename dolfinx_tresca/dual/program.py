@@ -10,7 +10,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx import fem
 
@@ -23,7 +22,6 @@ from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.equilibrium import Equilibrium, FloatingBodies, Tools
-from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 
@@ -107,9 +105,8 @@ class DualProgram:
         bodies, load = compliance.floating, self._load.array
         if tools is not None:
             if bodies is None:
-                modes = RigidBodyModes.none(jump.system.V, tools.bodies)
-                U, stiffness, jumps = (csr_array((n, 0)) for n in (len(load), 0, len(jump.gap)))
-                bodies = FloatingBodies(modes, U, stiffness, jumps)
+                dim, sizes = jump.system.V.mesh.geometry.dim, (len(load), len(jump.gap))
+                bodies = FloatingBodies.none(tools.bodies, jump.comm, dim, *sizes)
             self.of_tools = slice(len(bodies.modes), None)
             bodies = bodies.with_tools(tools)
         if bodies is not None:

@@ -58,6 +58,7 @@ class HeldStiffness:
             return multigrid(K, linear.V, linear.prescribed, *given), springs
 
     def __str__(self) -> str:
+        """Return the number of bodies, and of those that contact alone or soft springs hold."""
         text, modes = f"{self.bodies.count}", self._modes
         if modes:
             floating = np.unique(modes.body[modes.floats])
@@ -67,7 +68,12 @@ class HeldStiffness:
         return text
 
     def check_suits(self, options: SolverOptions) -> None:
-        """Check that options suit the bodies and the form. Not collective."""
+        """Check that options suit the bodies and the form. Not collective.
+
+        Raises:
+            InputError: the default accuracy without a form of the displacement, by which the error
+                of the mesh is estimated; or a method of the paper for bodies that contact holds.
+        """
         linear = self._linear
         if options.balanced and not linear.form_of_displacement:
             reason = "a is none" if linear.form is None else "a is on a mixed space"
