@@ -134,8 +134,7 @@ class Equilibrium:
 
         G'lambda + S c = e,    G = B U,  e = U'f:
 
-    that is, contact forces and the soft springs of the scene, with their stiffness S, balance the
-    loads.
+    that is, contact forces and soft springs of the scene, with the stiffness S, balance loads.
 
     Attributes:
         factors: (k,) factors by which the columns of U are multiplied, such that a column of G has
@@ -149,8 +148,7 @@ class Equilibrium:
     def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U (factors * c) to u = K_p^-1 (f - B'x). Collective.
 
-        The result is the energy norm of the rigid displacements that are then still missing for
-        equilibrium.
+        The result is the energy norm of the rigid displacements that equilibrium still lacks.
         """
         u.array += self.bodies.displacements @ (self.factors * c)
         return self.constraints.soft_violation(x, c)
@@ -179,8 +177,7 @@ class FloatingBodies:
     motions of tools follow the modes of bodies, with U = 0.
 
     Attributes:
-        displacements: U (owned degrees of freedom, k), sparse, which forces of the springs that fix
-            the bodies alone cause.
+        displacements: U (owned degrees of freedom, k), sparse, due to forces of fixing springs.
         stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse; for the motions of tools the columns of `Tools.jumps`.
         tool_motions: the motions of tools.
@@ -211,8 +208,7 @@ class FloatingBodies:
     def describe(self, components: Array) -> str:
         """Return the names of the tools that move, and of their motions, for a message. Collective.
 
-        If no tool moves, the result is `RigidBodyModes.describe`. The components are (k,), or
-        (k, columns) for several motions.
+        If no tool moves, `RigidBodyModes.describe` answers. Components are (k,) or (k, columns).
         """
         if not self.tool_motions:
             return self.modes.describe(components)
@@ -231,8 +227,7 @@ class FloatingBodies:
         """Return the resultants U'f (k,) of this rank's loads f, and term sums (k,). Collective.
 
         A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
-        node, which does not depend on the axes. Resultants that are rounding compared with their
-        term sum are set to zero.
+        node, which does not depend on the axes. Resultants that are rounding of it are set to zero.
         """
         U, dim = self.displacements, self.modes.dim
         add_components = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
@@ -351,8 +346,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     They are eigenvectors of `gram` (m, m), the inner products of the modes' jumps with 1 on the
     diagonal, whose eigenvalues are at most a limit. Single bodies that move while all others rest
     are looked for first, then bodies that move together. The limit for joint motions of n bodies is
-    smaller, since the resistance falls with n: the least eigenvalue of a stack of n bodies is about
-    1 / n^4.
+    smaller, since the resistance falls with n: the least eigenvalue of a stack is about 1 / n^4.
 
     Returns:
         the components (m, count) of the motions in the modes, empty if contact resists all motions;
@@ -373,8 +367,8 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
         motions = dense(vectors[:, values <= least])
         moving = _moving(motions, body)
         if len(moving):
-            # projected onto these motions, the modes of the first moving body move only bodies that
-            # cannot move without it
+            # the projected modes of the first moving body move only bodies that cannot move without
+            # it
             group = motions @ motions[body == moving[0]].T
             return group, len(np.setdiff1d(moving, _moving(group, body)))
     return np.empty((m, 0)), 0

@@ -33,8 +33,7 @@ class RigidBodyModes:
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
         stiffness: (k,) approximate stiffness against deformation of the body that the mode moves,
             for a displacement vector of length 1.
-        floats: (k,) True: K does not resist the mode at all; False: K resists it a little, by soft
-            springs.
+        floats: (k,) True: K does not resist the mode at all; False: soft springs resist it.
         body: (k,) the body of each mode, ascending.
         mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`,
             sparse. Lever arms of rotations are divided by the body's size.
@@ -60,8 +59,7 @@ class RigidBodyModes:
         """Return a text on a body that moves, its motion, and further bodies that move. Collective.
 
         The body is the first of those that move most. Bodies count as moving if they move by more
-        than `NAMED_PART` of the largest motion. The components are (k,), or (k, columns) for
-        several motions.
+        than `NAMED_PART` of the largest motion. Components are (k,) or (k, columns).
         """
         # (bodies, 3 or 6, columns): translations and rotations of each body
         motions = self.mode_components @ components.reshape(len(self), -1)

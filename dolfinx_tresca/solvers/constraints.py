@@ -57,8 +57,7 @@ class EqualityConstraints:
 
     Equations with S = 0 are exact, and c are their Lagrange multipliers. Equations with S > 0 are
     soft: the term (e - G'x)'S^-1 (e - G'x) / 2 is added to q, and c = S^-1 (e - G'x). In both
-    cases, the gradient in x is A x - b - G c. With k = 0, there are no equations, and no method
-    communicates.
+    cases, the gradient in x is A x - b - G c. With k = 0, no method communicates.
 
     The equations express the equilibrium of floating bodies (`floating/equilibrium.py`); this
     module does not depend on that meaning.
@@ -66,12 +65,10 @@ class EqualityConstraints:
     Methods are collective.
 
     Attributes:
-        columns: G (size, k), with columns of length 1 or less. A row has nonzero entries in the
-            columns of few bodies only.
+        columns: G (size, k), with columns of length 1 or less. A row has entries for few bodies.
         softness: (k, k) S, symmetric.
         values: (k,) e.
-        term_sums: (k,) sums of the absolute values of the terms of e, from which rounding errors
-            are estimated.
+        term_sums: (k,) sums of the absolute values of the terms of e, for rounding errors.
     """
 
     columns: csr_array
@@ -137,8 +134,7 @@ class EqualityConstraints:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
 
         With the soft eigenvectors V of S and their eigenvalues s, V'd is V'(e - G'x - S c) / s. For
-        floating bodies, the result is the energy norm of the rigid displacements that are missing
-        for equilibrium.
+        floating bodies, this is the energy norm of the rigid displacements missing for equilibrium.
         """
         eigenvalues, vectors = self.soft_directions
         missing = vectors.T @ self.residual(x, c)
@@ -162,14 +158,12 @@ class EqualityConstraints:
 LOST = 1e-6
 
 #: First value of the damping, which is the fraction of the diagonal of the majorant G'G + C that is
-#: added to the Hessian. After a whole step, the damping is multiplied by
-#: `RELAXATION`, since the next step may be longer where phi is flat; after a part of a step, it is
-#: divided by this part. If rounding makes the matrix indefinite, the damping is multiplied by
-#: `MORE_DAMPING`.
+#: added to the Hessian. After a whole step, the damping is multiplied by `RELAXATION`, since the
+#: next step may be longer where phi is flat; after a part of a step, it is divided by this part. If
+#: rounding makes the matrix indefinite, the factor is `MORE_DAMPING`.
 DAMPING, RELAXATION, MORE_DAMPING = 1e-4, 1e-3, 10.0
 
-#: Relative accuracy of the part of a step that minimises phi. The kinks of phi may be at parts of
-#: any order of magnitude.
+#: Relative accuracy of the part of a step that minimises phi. It has kinks.
 PART_ACCURACY = 1e-6
 
 #: The search ends without a solution if all multipliers that satisfy the equations have a norm
@@ -184,9 +178,8 @@ class Balance:
     Attributes:
         shift: (k,) the solution z; the multipliers are P(y + G z).
         excess: (k,) residual of the equation.
-        satisfied: whether the residual is at most the rounding error of the equation's terms. The
-            rounding error of G z may be larger; a residual of that size does not prove that a
-            solution exists.
+        satisfied: whether the residual is at most the rounding error of the equation's terms. (The
+            rounding of G z does not count.)
         unbounded: whether all solutions are too large (`LARGEST_REACTION`), or none exists.
     """
 

@@ -14,8 +14,7 @@ from dolfinx_tresca.solvers.constraints import norm
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
-#: Rounding may be the cause of a stagnation if the residual, divided by its scale or by |b|, is at
-#: most this number.
+#: Largest residual, divided by its scale or by |b|, whose stagnation rounding may cause.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
@@ -74,8 +73,7 @@ class NaturalResidual:
         """Return whether the gradient is too inaccurate to decide if zero is the solution.
 
         The `error` e is given in the norm sqrt(e'A^-1 e). Zero is undecided if its residual is at
-        most |e|, and a pressure begins once all components of the gradient are lowered by |e|.
-        Collective.
+        most |e|, and a pressure begins once each gradient is lowered by |e|. Collective.
         """
         largest, zero = error / float(np.sqrt(self.rho)), self.zero  # the bound of |e| in `set_rho`
         return self.scale <= largest and self.norm_at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
@@ -144,15 +142,13 @@ def relative_error(problem: DualProblem, bound: float, displacement_norm: float)
 #: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
 SMALLEST_TOLERANCE, BELOW_ANY_MESH = 1e-8, 1e-4
 
-#: Largest accepted residual of the equality constraints, relative to their terms: forces are in
-#: equilibrium.
+#: Largest accepted residual of the equality constraints, relative to their terms.
 BALANCED = 1e-10
 
 #: Requested residual if there is no bound of the energy error and the user set no `rtol`.
 UNPROVEN = 1e-6
 
-#: Function that is called with each iterate, the first one included. It returns whether to stop,
-#: with the same result on all ranks.
+#: Function that is called with each iterate. It returns whether to stop, equally on all ranks.
 Observe = Callable[[Iteration], bool]
 
 
@@ -166,8 +162,7 @@ class History:
     energy error may be large although the residual is small.
 
     Attributes:
-        accuracy: relative error in the energy norm that is requested at present; inf if it is not
-            yet known.
+        accuracy: relative error in the energy norm that is requested; inf: not yet known.
         residuals: relative natural residual of each iterate.
         q: q(lambda) of each iterate, with the energy of soft constraints.
         residual_norms: natural residual of each iterate, not divided by its scale.

@@ -25,16 +25,12 @@ class Face:
     A disc of radius zero is a single point, and counts neither as stick nor as slip.
 
     Attributes:
-        stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside the
-            disc.
+        stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
         slip: (n_discs,) discs whose multiplier is on the circle.
         active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
-            of (38.12), tangential multipliers of sticking nodes, and all multipliers of bonded
-            nodes.
-        free: (size,) active multipliers, and tangential multipliers of slipping nodes, which may
-            move along their circles.
-        radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
-            zero elsewhere.
+            of (38.12), tangential multipliers of sticking nodes, and all of bonded nodes.
+        free: (size,) active multipliers, and those of slipping nodes, which move along circles.
+        radial: (size,) unit vectors along the multipliers of slipping nodes; zero elsewhere.
         discs: Lambda, with the positions of the discs' multipliers.
     """
 
@@ -59,16 +55,14 @@ class FeasibleSet:
     """Lambda: normal multipliers are not negative, tangential ones lie in the disc of their node.
 
     A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one in
-    2D and in a symmetry plane. Multipliers of bonded surfaces are neither normal nor tangential;
-    they are not restricted.
+    2D and in a symmetry plane. Multipliers of bonded surfaces are in neither list, and free.
 
     Attributes:
         size: number of multipliers on this rank.
         normal: (n_normal,) positions of the normal multipliers lambda_nu.
         tangential: (n_tangential,) positions of the tangential multipliers lambda_tau.
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
-        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in the units of
-            lambda_tau.
+        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau.
         normal_of: (n_discs,) position of the normal multiplier of the disc's node; -1: there is
             none, or the disc is not that of the node's friction.
     """
@@ -261,8 +255,7 @@ def pressed_values(
 class NodalCurves:
     """The curves of all discs, as functions of multipliers and their gradient.
 
-    A multiplier is a stress times the root of its node's area, and a component of the gradient is
-    a length times the same root.
+    A multiplier is a stress times the root of its node's area, and a gradient a length times it.
 
     Attributes:
         of_discs: for each curve the range of its discs, and the curve.
@@ -323,8 +316,7 @@ class FrictionCones(FeasibleSet):
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip, for some discs or none.
-        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; 0.0 for
-            all discs.
+        slip: (n_discs,) norm of the tangential gradient, at which curves are evaluated, or 0.0.
     """
 
     has_given_bounds = False
@@ -454,8 +446,7 @@ class FrictionCones(FeasibleSet):
         F = np.where(grows, self.coefficient, zero)
         hypot, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
         np.divide(self.limit, F, out=end, where=F > 0.0)
-        # of each edge the first point and the unit vector (edges, 2, nodes), the length and the
-        # nearest point (edges, nodes)
+        # first points and unit vectors (edges, 2, nodes) of the edges, and lengths (edges, nodes)
         origins = np.array([[zero, zero], [zero, self.radius], [end, self.radius + self.limit]])
         directions = np.array([[zero, unit], [unit / hypot, F / hypot], [unit, zero]])
         lengths = np.array([self.radius, end * hypot, np.inf * unit])

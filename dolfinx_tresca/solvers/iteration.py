@@ -46,8 +46,7 @@ def solve(
     The default method, `ModelNewton`, finds multipliers x that minimise q over the section of the
     friction cones at their own pressures. For Tresca's law, this section is Lambda. For Coulomb's
     law, x is a fixed point: the solution of Tresca's problem with the slip bounds at the pressures
-    of x (Haslinger 1983, Approximation of the Signorini problem with friction, obeying the Coulomb
-    law).
+    of x (Haslinger 1983).
 
     Raises:
         InputError: a method of the paper, which is for slip bounds that are given, was chosen for
@@ -76,8 +75,7 @@ class Iterate:
         r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
-        learned: whether the last step has changed the model of A, or the accuracy of gradients;
-            True before the first step.
+        learned: whether the last step has changed the model of A, or accuracies; True before it.
     """
 
     x: Array
@@ -136,12 +134,10 @@ class Iterate:
     def _new_product(self, direction: Array) -> Array:
         """Return A times a step (size,), exact to rounding. Collective.
 
-        Known products give A times a part of the step. The rest of the step is new, and is added to
-        the store with its product.
+        Known products give A times a part of the step. The rest is new, and kept, too.
         """
         before, (new, product) = len(self.store), self.store.split(direction)
-        # subtracting the known part from a product of the whole direction would leave rounding
-        # errors that grow from pair to pair
+        # the product of the whole step, less the known part, would have rounding errors that grow
         if float(self._problem.inner(new, new)) > 0.0:
             added = self._problem.compliance.apply(new)
             self.store.add(new, added)
@@ -152,8 +148,7 @@ class Iterate:
     def _part_to_take(self, direction: Array, product: Array) -> float:
         """Return the part t <= 1 of a step d with the least q, t d'r + t^2 / 2 d'A d. Collective.
 
-        The result is 1 if q need not decrease (`ModelNewton`), or if its change is rounding, while
-        that of the gradient is not.
+        The result is 1 if q need not decrease (`ModelNewton`), or if its change is rounding.
         """
         problem = self._problem
         if not problem.admissible.has_given_bounds or len(problem.constraints) > 0:
@@ -168,8 +163,7 @@ class Iterate:
     def set_point(self, x: Array) -> None:
         """Set the point to initial multipliers x (size,), and compute the gradient. Collective.
 
-        Known products may determine the gradient, for example if a solve with another load has
-        ended at these multipliers.
+        Known products may determine it, if another solve has ended at these multipliers.
         """
         problem, b = self._problem, self._problem.b
         product, error = self.store.product(x)
@@ -177,8 +171,7 @@ class Iterate:
         wanted = max(relative * self._energy_norm(x), self.finest)
         self.x, self.r, self.error = x, product - b, error + problem.b_error
         if self.error > wanted:
-            # an accuracy below the error of b is useless: for tiny multipliers, the product would
-            # consist of the error of b only
+            # more accurate than b, products of tiny multipliers would consist of the error of b
             self.r, self.error = problem.gradient(x, max(wanted, problem.b_error))
             self.store.add(x, self.r + b, self.error + problem.b_error)
 
@@ -223,8 +216,7 @@ class ModelNewton:
         residual: the natural residual of this solve.
         history: the residuals of all iterates, and the criteria of convergence.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
-        deficit: deficit of friction with which the iteration ends; None if friction is strong
-            enough.
+        deficit: deficit of friction with which the iteration ends; None: friction is enough.
         completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
@@ -386,9 +378,9 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
     """Return the motion along which friction is too weak for the constraints. Collective.
 
     The slip bounds g are those of the point. The result is None if no body floats, or if some
-    multipliers with these bounds satisfy the constraints. Otherwise the shift z of `balance` runs
-    away along a rigid motion whose work of loads e'z exceeds the sum of g |G z|, which is the
-    largest work of friction.
+    multipliers with these bounds satisfy the constraints. Otherwise the shift z of `balance` grows
+    along a rigid motion whose work of loads e'z exceeds the largest work of friction, the sum of g
+    |G z|.
     """
     constraints, section = problem.constraints, problem.section_at(point.x, point.r)
     if len(constraints) == 0:

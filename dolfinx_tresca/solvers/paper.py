@@ -50,9 +50,8 @@ def ssn(run: Run) -> DualSolution:
 def mssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with accurate inner solves.
 
-    The inner CG iterations end at 1e-12 times the residual at the start. The method converges fast
-    if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only states that the limit, if
-    there is one, is the solution.
+    The inner CG iterations end at 1e-12 times the residual at the start. It converges fast if most
+    nodes stick, but need not converge: only a limit is a solution (Lemma 38.1).
     """
     return run.iterate(run.symmetrized_step, lambda: 1e-12 * run.history.residual_norms[0])
 
@@ -233,8 +232,7 @@ def conjugate_gradients(
     ranks (CGM_feas), or after `MOST_PRODUCTS`; the result does not say which.
 
     Returns:
-        s (size,), zero where multipliers are not free, and A s (size,) in all rows, from the
-        recurrence.
+        s (size,), zero where multipliers are not free, and A s (size,) in all rows.
     """
     step, product, direction = (np.zeros_like(gradient) for _ in range(3))
     residual, before = np.where(free, -gradient, 0.0), np.inf

@@ -49,8 +49,7 @@ class DualProblem(InnerProduct, Protocol):
 
     In all methods, and in all functions of this room, x (size,) are multipliers, c (k,) are those
     of the constraints, and r (size,) is the gradient A x - b - G c at x; a `Point` has all three.
-    The error e of a gradient is given in the norm sqrt(e'A^-1 e), which is the energy norm of the
-    error of the displacement.
+    The error e of a gradient is given in the norm sqrt(e'A^-1 e), the displacement's energy norm.
 
     Attributes:
         b: (size,) the linear term.
@@ -89,8 +88,7 @@ class DualProblem(InnerProduct, Protocol):
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
-        The accuracy is the requested error; if the solver for K cannot reach it, the error is
-        larger.
+        The error exceeds the requested `accuracy` if the solver for K cannot reach it.
         """
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
@@ -158,8 +156,7 @@ class DualSolution:
         wanted: requested relative error in the energy norm; inf if residuals were the criterion.
         displacement_tolerance: tolerable error of the displacement in the energy norm, not
             relative; None: determined by the options of the solver for K.
-        deficit: motion along which friction is too weak for the constraints; None if friction is
-            not known to be too weak.
+        deficit: motion along which friction is too weak for the constraints, if known.
     """
 
     multipliers: Array

@@ -17,14 +17,13 @@ from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 
 #: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
-#: multipliers. With this softness, the linear systems have a solution even if the constraints have
-#: none.
+#: multipliers. With it, linear systems have a solution even if the constraints have none.
 LEAST_SOFTNESS = 1e-10
 
 
 #: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
 #: where a bound of friction is nearly zero, would hide the other equations of its node. With 1e150,
-#: a slip bound of 1e-300 overflows.
+#: bounds of 1e-300 overflow.
 STIFFEST = 1e8
 
 
@@ -38,8 +37,7 @@ class NodalMaps:
 
     Attributes:
         test: T, applied to both sides of the equation.
-        added: R, such as the curvature of the circles of slipping nodes, and the identity at
-            multipliers that do not change.
+        added: R, such as the curvature of slipping nodes' circles, and D at multipliers that stay.
         inverse: (T D + R)^-1 T with the diagonal D of the model.
     """
 
@@ -102,8 +100,7 @@ class BlockBFGSModel:
     all combinations of these vectors (M W = Y); on other vectors, it has the magnitude of D, an
     approximation of diag(A). M is the block BFGS update of D with W and Y; the term Y Y' alone is a
     Nystroem approximation of A. Applying or inverting M needs no product with A. D may be replaced
-    by another model, such as the model of an earlier A; M is then the block BFGS update of that
-    model.
+    by another model, such as the model of an earlier A; M is then the update of that model.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
@@ -197,16 +194,14 @@ RESOLVED = 1.5
 #: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED.
 LASTING_ERROR = 0.15
 
-#: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
-#: |lambda| |r| (Euclidean norms).
+#: Rounding error of a product, relative to its norm, and of q, relative to |lambda| |r|.
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
 class ProductStore:
     """Pairs (w, A w) from all products so far: the columns of W and Y = A W, with W'A W = I.
 
-    Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
-    same.
+    Pairs remain valid for all loads and slip bounds, since A stays the same.
 
     Attributes:
         W: (size, k) vectors.
@@ -400,8 +395,7 @@ class WholeModel:
     1976): its solution is the solution for A, and the error falls by the factor s / (s + sigma) in
     each iteration, where sigma is the least positive eigenvalue of A.
 
-    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Every rank has the whole
-    matrix.
+    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Every rank has the matrix.
 
     Attributes:
         diagonal: (size,) diag(A).

@@ -23,8 +23,7 @@ from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
 #: model. With the value 1, as for convex problems, each node would take the state that minimises q
-#: for fixed multipliers of the other nodes; with a smaller value, nodes change their states less
-#: often.
+#: for fixed multipliers of the other nodes; with a smaller one, states change less often.
 RHO_DIAGONAL = 0.2
 
 #: Limit on the number of halvings of a step that does not reduce the residual. A step of a body
@@ -84,9 +83,8 @@ class SemismoothNewton:
     system is symmetric. The convergence is quadratic once the active sets no longer change
     (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
     node also moves outwards with its pressure: s is replaced by P s + Q s on the left-hand side,
-    where Q contains the slope of g. If g also depends on the slip v, which is the component of -r
-    along the radius of the disc, the radial component of s solves s = Q s + h (change of v) with
-    the slope h = dg/dv.
+    where Q contains the slope of g. If g also depends on the slip v, the component of -r along the
+    radius of the disc, the radial component of s solves s = Q s + h (change of v), h = dg/dv.
 
     Residuals are energies: those of multipliers are weighted by the root of D, those of a
     constraint by its compliance, the sum of G^2 / D. A step is halved until it reduces the residual
@@ -258,17 +256,15 @@ def solve_model(
 ) -> NewtonPoint:
     """Return an approximate solution of the dual problem with the model M in place of A.
 
-    Without a near field, this is `newton_solution`. With a near field D, and known products
-    Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains D where the basic model has a diagonal.
-    The error of M is then smaller by an order of magnitude, but there is no formula for the inverse
-    of M on a face. Hence D is itself approximated by D~, a low-rank model made of known products
-    with D. Each iteration solves the problem for M with D~ in place of D. It then computes a
-    product with D, which gives the residual for M and improves D~. A product with D costs one solve
-    with a small matrix, and no solve with K. Products with D are kept until the products with A are
-    dropped.
+    Without a near field, this is `newton_solution`. With a near field D, and known products Y = A
+    W, M = Y Y' + (I - Y W') D (I - W Y') contains D where the basic model has a diagonal. The error
+    of M is then smaller by an order of magnitude, but there is no formula for the inverse of M on a
+    face. Hence D is itself approximated by D~, a low-rank model made of known products with D. Each
+    iteration solves the problem for M with D~ in place of D. It then computes a product with D,
+    which gives the residual for M and improves D~. A product with D costs one solve with a small
+    matrix, and no solve with K. Products with D are kept as long as those with A.
 
-    The `residual` measures solutions; the `tolerance` is its value for M at which iterations end.
-    Collective.
+    The `tolerance` is the value of `residual`, for M, at which iterations end. Collective.
     """
     store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:
