@@ -59,8 +59,7 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
 For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
 bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 7, from the
 multipliers before; each new K has a new A, without products. `accept` (room `problem`) makes the
-tractions, slips and places of obstacles of a solution those from which the next load step begins
-(`StepState.after_solution`).
+tractions, slips and places of obstacles of a solution those from which the next load step begins.
 
 Read first: `jump.JumpOperator.__init__`, `program.DualProgram`, `program.DualProgram.gradient`.
 """

@@ -161,8 +161,7 @@ class EnergyBound:
     def __init__(self, jump: JumpOperator, nodal_stiffness: Array) -> None:
         """Prepare the lifts w. Collective.
 
-        The `nodal_stiffness` (size,) is that of a node with fixed neighbours, equal in all
-        directions of a disc.
+        The `nodal_stiffness` (size,), with fixed neighbours, is the same within a friction disc.
         """
         self._nodal_stiffness = nodal_stiffness
         system = jump.system
@@ -283,10 +282,7 @@ class DiscretisationError:
         return np.asarray(0.25 * scale[0] * scale[1] * difference)
 
     def _squares(self, u: Array) -> Array:
-        """Return the squared estimates (cells,) of this rank's cells [energy]. Collective.
-
-        For the same displacement as in the last call, nothing is computed.
-        """
+        """Return the squared estimates (cells,) [energy], kept for the last u. Collective."""
         same = self._last is not None and np.array_equal(u, self._last[0])
         if self._last is not None and self._cells.mesh.comm.allreduce(same, op=MPI.LAND):
             return self._last[1]
@@ -305,8 +301,7 @@ class DiscretisationError:
 
         Collective. A material is a group of cells whose stiffnesses have no large gap between them:
         a stiffness that varies gradually makes one group. The form `energy` gives each cell's
-        energy for the same gradient in all cells, and `volume` the cells' volumes, or those of
-        their rings up to a constant factor.
+        energy for the same gradient in all cells, and `volume` the cells' volumes up to a factor.
         """
         volumes = self._assembled(volume)
         logarithms = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)

@@ -230,10 +230,7 @@ class JumpOperator(PetscOwner):
         return np.array(self._jump.array)
 
     def vectors(self, u: fem.Function) -> list[Array]:
-        """Return for each pair the jumps of u (n, d) [length] at its nodes. Collective.
-
-        The jumps have all components, whether or not the node has multipliers along them.
-        """
+        """Return for each pair all components of the jumps of u (n, d) [length]. Collective."""
         product = self._components.createVecLeft()
         self._components.mult(u.x.petsc_vec, product)
         vectors = product.array.reshape(-1, self.system.V.dofmap.index_map_bs).copy()

@@ -129,8 +129,7 @@ class Carry:
 def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
     """Return the position (n,) of each node among old ones; len(old_nodes) if it is missing.
 
-    Both arrays are ascending. A node on a sharp edge occurs once for each normal, in the same
-    order.
+    Both arrays are ascending. A node on a sharp edge occurs once for each normal, in order.
     """
     # a key for each occurrence of a node: the node's number times `most`, plus 0, 1, ...
     most = max(len(nodes), len(old_nodes))

@@ -131,8 +131,7 @@ class NodalValues:
             field = field.value
         if isinstance(field, fem.Function):
             self._check_mesh(field, name)
-            # interpolation keeps infinite values, which basis functions would spread as NaN;
-            # scalars fill a component
+            # interpolation keeps infinite values, which basis functions would spread as NaN
             nodal = fem.Function(self._V)
             (nodal if components > 1 else nodal.sub(0)).interpolate(field)
             values = nodal.x.array.reshape(-1, self._V.dofmap.index_map_bs)

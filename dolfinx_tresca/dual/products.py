@@ -53,8 +53,7 @@ def sparse_rows(compliance: ContactCompliance) -> csr_array | None:
     """Return this rank's rows (size, n) of the sparse matrix A, for many small bodies. Collective.
 
     The result is None if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`), with an
-    iterative solver for K, and with a mixed space, where it does not work. Solves count as
-    products.
+    iterative solver for K, and in a mixed space, where it does not work. Solves count as products.
 
     K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
     are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
@@ -95,8 +94,7 @@ def sparse_rows(compliance: ContactCompliance) -> csr_array | None:
 def _solve(matrix: csr_array, right: Array) -> Array:
     """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
 
-    On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, a third of the
-    memory.
+    On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and less memory.
     """
     A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
     factors = PETSc.PC().create(MPI.COMM_SELF)
@@ -124,9 +122,7 @@ def _solve(matrix: csr_array, right: Array) -> Array:
 def _rows_of_bodies(
     jump: JumpOperator, label: Indices, bodies: int
 ) -> tuple[Indices, Indices, csr_array]:
-    """Return this rank's rows of B, split into rows of the matrices B_b. Collective.
-
-    The `label` is the body of each node of this rank.
+    """Return this rank's rows of B, split by the nodes' body `label` into rows of B_b. Collective.
 
     Returns:
         of each split row the local number (m,) of its row of B, and its body (m,); and the split
@@ -304,8 +300,7 @@ class ContactCompliance(PetscOwner):
         """Keep the arguments; in a mixed space, prepare `error_bound`. Collective.
 
         Raises:
-            StiffnessError: rows of B depend on those of incompressibility in K; the solver is
-                destroyed.
+            StiffnessError: rows of B depend on those of incompressibility; the solver is destroyed.
         """
         self.jump, self.solver, self.springs, self.comm = jump, solver, springs, jump.comm
         self.exact, self.products = solver.exact, 0

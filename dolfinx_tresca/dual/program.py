@@ -270,10 +270,7 @@ class DualProgram:
         return self.admissible.at_point(x, r).section(x)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
-        """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
-
-        Here u* is the exact solution of the discrete problem.
-        """
+        """Return a bound of |u - u*|_K for u at x in Lambda; u* is the solution. Collective."""
         return self.compliance.error_bound.energy_bound(self.section_at(x, r), x, r, error)
 
     def local_minimiser(self, x: Array, r: Array) -> Array:

@@ -255,8 +255,7 @@ class FloatingBodies:
         largest = _largest_of_group(length, bodies)
         length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
         self._check_resisted(gram, length, largest, reductions)
-        # modes without jumps are scaled by the stiffness of the springs that hold them, which
-        # together with an unstable K may be negative
+        # modes without jumps are scaled by their stiffness, which may be negative if K is unstable
         resisted, k = self.stiffness.diagonal(), len(length)
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
@@ -367,8 +366,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
         motions = dense(vectors[:, values <= least])
         moving = _moving(motions, body)
         if len(moving):
-            # the projected modes of the first moving body move only bodies that cannot move without
-            # it
+            # the first moving body's modes, projected onto the motions, move what depends on it
             group = motions @ motions[body == moving[0]].T
             return group, len(np.setdiff1d(moving, _moving(group, body)))
     return np.empty((m, 0)), 0

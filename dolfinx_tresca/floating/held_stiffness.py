@@ -41,8 +41,7 @@ class HeldStiffness:
         """Assemble K, find the rigid modes that it resists weakly, and factor it. Collective.
 
         The caller owns the solver. With a mixed space, the modes are found in the first call only:
-        later, pressures make the block of displacements indefinite even for stable bodies, and
-        signs of pivots tell whether they are held.
+        later, pressures may make that block of K indefinite, and pivots tell if bodies are held.
         """
         linear, request = self._linear, self._request
         with timed("stiffness", timings):

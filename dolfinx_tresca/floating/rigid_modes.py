@@ -31,8 +31,7 @@ class RigidBodyModes:
 
     Attributes:
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
-        stiffness: (k,) approximate stiffness against deformation of the body that the mode moves,
-            for a displacement vector of length 1.
+        stiffness: (k,) approximate stiffness of the mode's body against deformations of length 1.
         floats: (k,) True: K does not resist the mode at all; False: soft springs resist it.
         body: (k,) the body of each mode, ascending.
         mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`,
@@ -85,10 +84,7 @@ SOFT_STIFFNESS = 0.03
 
 
 def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
-    """Find rigid motions of bodies that supports and K resist little or not at all. Collective.
-
-    K of the `LinearSystem` `system` must be assembled.
-    """
+    """Find rigid motions that supports and the assembled K resist little or not. Collective."""
     mesh, prescribed = system.V.mesh, system.prescribed_displacements
     comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
     modes, label = bodies.rigid_modes(dim), np.repeat(bodies.label, dim)

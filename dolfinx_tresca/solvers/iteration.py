@@ -49,8 +49,7 @@ def solve(
     of x (Haslinger 1983).
 
     Raises:
-        InputError: a method of the paper, which is for slip bounds that are given, was chosen for
-            slip bounds that depend on the pressure.
+        InputError: a method of the paper was chosen for slip bounds that depend on the pressure.
     """
     if options.method in paper.ALGORITHMS:
         if problem.admissible.has_given_bounds:
@@ -87,8 +86,7 @@ class Iterate:
         """Begin at zero, where no product is needed."""
         self._problem, self.finest, self.learned = problem, 0.0, True
         self._is_exact = problem.compliance.exact
-        # the requested error of a gradient is a part of the length of the last step; the solver
-        # for K does not reach less than `_least`
+        # the error of gradients: requested as part of the last step's length, and the least one
         self._part, self._length, self._least = FORCING, 0.0, 0.0
         self.return_to_zero()
 
@@ -134,7 +132,8 @@ class Iterate:
     def _new_product(self, direction: Array) -> Array:
         """Return A times a step (size,), exact to rounding. Collective.
 
-        Known products give A times a part of the step. The rest is new, and kept, too.
+        Known products give A times a part of the step; the product of the rest is computed, and
+        added to the store.
         """
         before, (new, product) = len(self.store), self.store.split(direction)
         # the product of the whole step, less the known part, would have rounding errors that grow
@@ -355,10 +354,7 @@ class ModelNewton:
         return ContactStatus.NO_FIXED_POINT
 
     def complete_products(self) -> bool:
-        """Compute the rest of A, unless it is known or too large; return whether it was computed.
-
-        Collective.
-        """
+        """Compute the rest of A unless known or too large; return whether it was. Collective."""
         is_known = isinstance(self.iterate.store, WholeModel)
         if is_known or not self.problem.compliance.complete_products():
             return False

@@ -57,10 +57,7 @@ def mssn(run: Run) -> DualSolution:
 
 
 def imssn(run: Run) -> DualSolution:
-    """Minimise q over Lambda by ALGORITHM IMSSN: MSSN with the precision control of (Step 3.1).
-
-    The method is fast if it converges, but may cycle if many nodes stick.
-    """
+    """Minimise q by ALGORITHM IMSSN: MSSN with (Step 3.1). It may cycle if many nodes stick."""
     return run.iterate(run.symmetrized_step, adaptive_precision(run.history, run.options))
 
 

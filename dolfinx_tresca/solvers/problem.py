@@ -108,10 +108,7 @@ class DualProblem(InnerProduct, Protocol):
         """
 
     def discretisation_error(self, x: Array, c: Array) -> float:
-        """Return an estimate of the relative error of the mesh in the energy norm. Collective.
-
-        An approximate solution is sufficient.
-        """
+        """Return an estimate of the relative error of the mesh in the energy norm. Collective."""
 
 
 @dataclass(frozen=True)

@@ -185,8 +185,7 @@ NEW_ENERGY = 1e-10
 #: of B are linearly dependent, since A is then singular.
 NULL_ENERGY = 1e-12
 
-#: A product is kept if its new part, which known products do not give, has an energy norm above
-#: this multiple of the product's error.
+#: A product is kept if its new part has an energy norm above this multiple of its error.
 RESOLVED = 1.5
 
 #: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
@@ -278,10 +277,7 @@ class ProductStore:
         return True
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x that is A-orthogonal to all w, and A times the rest of x, (size,).
-
-        Collective.
-        """
+        """Return the part of x that is A-orthogonal to W, and A times the rest. Collective."""
         product = np.zeros_like(x)
         for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
@@ -308,8 +304,7 @@ class ProductStore:
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
         errors of the first. Pairs with errors are not orthonormal and need more passes. If the
         process always ended after two passes, parts along known pairs would remain and be added as
-        new pairs, until there are more pairs than unknowns. With exact pairs, the parts are at most
-        the multiple of `ROUNDING` after two passes.
+        new pairs, until there are more pairs than unknowns. With exact pairs, two passes suffice.
         """
         inner = self._reductions.inner
         coefficients: Array = np.zeros(len(self))
@@ -497,10 +492,7 @@ class WholeModel:
         return self._reductions.total(result)
 
     def _whole(self, own: csr_array) -> csr_array:
-        """Return the matrix (n, n) whose diagonal blocks are the `own` of each rank. Collective.
-
-        Zeros are not stored.
-        """
+        """Return the matrix (n, n) with diagonal blocks `own`, less stored zeros. Collective."""
         own = csr_array(own)
         own.eliminate_zeros()
         columns = own.indices + self._mine.start
