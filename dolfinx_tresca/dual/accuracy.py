@@ -43,16 +43,12 @@ class Lift:
 
     def __init__(self, jump: JumpOperator) -> None:
         """Factor B D B'. Collective."""
-        self._prepare(jump.system.K, jump.matrix)
+        self._K, self._B = jump.system.K, jump.matrix
+        (self._w, self._jump), (self._Kw, self._y) = self._B.createVecs(), self._B.createVecs()
         self._D = nodal_compliance(jump.system)
         weighted = self._B.copy()
         weighted.diagonalScale(R=self._D)
         self._solver = _factored_unless_singular(weighted.matTransposeMult(self._B))
-
-    def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
-        """Keep K and B, and make vectors. Collective."""
-        self._K, self._B = K, B
-        (self._w, self._jump), (self._Kw, self._multipliers) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jumps: Array) -> float:
         """Return |w|_K [energy^(1/2)] for jumps (size,); infinite if no w has them. Collective."""
@@ -60,18 +56,18 @@ class Lift:
             return np.inf
         self._jump.array = jumps
         w = self._lift(self._solver)
-        self._B.mult(w, self._multipliers)
-        self._multipliers.axpy(-1.0, self._jump)
+        self._B.mult(w, self._y)
+        self._y.axpy(-1.0, self._jump)
         # B w - jump is rounding, unless rows of B are dependent and the jump is outside their range
-        if not self._multipliers.norm() <= 1e-6 * self._jump.norm():  # or NaN
+        if not self._y.norm() <= 1e-6 * self._jump.norm():  # or NaN
             return np.inf
         self._K.mult(w, self._Kw)
         return float(np.sqrt(max(w.dot(self._Kw), 0.0)))
 
     def _lift(self, solver: StiffnessSolver) -> PETSc.Vec:
         """Return w for the jump in `_jump`. Collective."""
-        solver.solve(self._jump, self._multipliers)
-        self._B.multTranspose(self._multipliers, self._w)
+        solver.solve(self._jump, self._y)
+        self._B.multTranspose(self._y, self._w)
         self._w.pointwiseMult(self._D, self._w)
         return self._w
 
@@ -118,7 +114,8 @@ class SaddleLift(Lift):
         nothing.assemble()
         whole = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm).copy()
         whole.convert(PETSc.Mat.Type.AIJ)
-        self._prepare(K, B)
+        self._K, self._B = K, B
+        (self._w, self._jump), (self._Kw, self._y) = B.createVecs(), B.createVecs()
         self._right, self._solution = whole.createVecs()
         self._solver = _factored_unless_singular(whole, negative_pivots=None)
         # rows of B alone are independent if `Lift` finds a displacement for an irregular jump

@@ -131,6 +131,7 @@ def _rows_of_bodies(
     V, (pointers, indices, data) = jump.system.V, jump.matrix.getValuesCSR()
     row = np.repeat(np.arange(len(jump.gap)), np.diff(pointers))
     row, indices, data = (entries[data != 0.0] for entries in (row, indices, data))
+    # the body of each entry that is not zero, from the node of its column
     nodes, position = np.unique(indices // V.dofmap.index_map_bs, return_inverse=True)
     owned = label[: V.dofmap.index_map.size_local]
     body = labels_of(V, owned, nodes.astype(np.int64))[position]
@@ -144,7 +145,6 @@ def _rows_of_bodies(
 #: bodies. (On two bricks a load step takes up to 10 products with one layer, 8 with two; with
 #: multigrid 33 and 30 Krylov iterations, which then cost twice as much.)
 LAYERS, LAYERS_BEFORE_COARSE = 2, 1
-
 
 #: Largest number of unknowns of the level, whose factorisation takes a hundredth of a second. (On
 #: two bricks, a solve takes 63 Krylov iterations with 42 unknowns, and 54 with 2,244.)

@@ -99,10 +99,21 @@ class DualProgram:
         self.history = SlipHistory.none(jump) if history is None else history
         self.is_load_step = self.history.begun
         self.admissible = jump.bounded(slip_bounds)
+        self._set_equilibrium(tools)
+        self.offset = jump.gap + self.history.origin
+        if jump.frames is not None:
+            self.offset = self.offset - jump.of_displacement(jump.frames.rigid)
+        self._is_refined = compliance.exact
+        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
+        self._compute_b(LOAD_ACCURACY)
+        self._check_units()
+
+    def _set_equilibrium(self, tools: Tools | None) -> None:
+        """Set `equilibrium`, `constraints` and `of_tools` for the present load. Collective."""
+        jump, bodies, load = self.jump, self.compliance.floating, self._load.array
         self.equilibrium: Equilibrium | None = None
         self.constraints = EqualityConstraints.none(len(jump.gap), jump.reductions)
         self.of_tools = slice(0)
-        bodies, load = compliance.floating, self._load.array
         if tools is not None:
             if bodies is None:
                 dim, sizes = jump.system.V.mesh.geometry.dim, (len(load), len(jump.gap))
@@ -112,13 +123,6 @@ class DualProgram:
         if bodies is not None:
             self.equilibrium = bodies.under(load, self.admissible, jump.reductions)
             self.constraints = self.equilibrium.constraints
-        self.offset = jump.gap + self.history.origin
-        if jump.frames is not None:
-            self.offset = self.offset - jump.of_displacement(jump.frames.rigid)
-        self._is_refined = compliance.exact
-        self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
-        self._compute_b(LOAD_ACCURACY)
-        self._check_units()
 
     def _compute_b(self, rtol: float) -> None:
         """Compute b from the displacement without contact, and update the guess. Collective."""
@@ -274,10 +278,10 @@ class DualProgram:
         return self.compliance.error_bound.energy_bound(self.section_at(x, r), x, r, error)
 
     def local_minimiser(self, x: Array, r: Array) -> Array:
-        """Return x - `nodal_stiffness` r, (size,): each node's minimiser with fixed neighbours.
+        """Return x - `nodal_stiffness` r (size,), the minimiser of q node by node. Not collective.
 
         The projection of these multipliers onto Lambda is the state that each node would take if
-        the displacements of its neighbours were fixed: pressed or not, sticking or slipping. Local.
+        the displacements of its neighbours were fixed: pressed or open, sticking or slipping.
         """
         return x - self.compliance.nodal_stiffness * r
 
@@ -322,9 +326,8 @@ class DualProgram:
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        A direct solver needs one solve with K, an iterative solver needs no solve, since its
-        displacement is known. The estimate is zero without displacement, and infinite without a
-        form to estimate from.
+        A direct solver needs one solve with K; the displacement of an iterative one is known. The
+        estimate is zero without displacement, and infinite without a form to estimate from.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf
@@ -345,8 +348,8 @@ class DualProgram:
     def energies(self, x: Array, u: PETSc.Vec, c: Array, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
-        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, with the sum over finite g, and D(x) = 1/2 u'K u -
-        f'u - x'r with the gradient r = (d; s) - B u; of D, error^2 / 2 is subtracted for the
+        J(u) = 1/2 u'K u - f'u + sum g |T u - s|, with the sum over finite g, and
+        D(x) = 1/2 u'K u - f'u - x'r - error^2 / 2, with the gradient r = (d; s) - B u and the
         `error` of u in the energy norm. Rows of prescribed degrees of freedom are left out of u'K u
         and f'u. Forces on tools are part of f, and their motions of B u.
         """
@@ -364,7 +367,7 @@ class DualProgram:
 
 
 def relative_change(change: float, value: float, rounding: float = 0.0) -> float:
-    """Return change / value, 0 for a change that is rounding, or 1 for a change of zero."""
+    """Return change / value; 0 if the change is rounding, and 1 if only the value is zero."""
     if change <= rounding:
         return 0.0
     return change / value if value > 0.0 else 1.0

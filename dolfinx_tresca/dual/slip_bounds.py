@@ -112,8 +112,7 @@ def _vector_text(vector: Array) -> str:
 def _semi_diameters(direction: Array, shape: Array) -> Array:
     """Return the semi-diameters 1 / |(d_1 / b_1, d_2 / b_2)| (n,) of ellipses in directions d.
 
-    The d (n, 2) are components of unit vectors along the axes; the shape (n, 2) has the semi-axes
-    b.
+    The d (n, 2) are components of unit vectors along the axes, and `shape` (n, 2) has the b.
     """
     # a component d_i that is zero counts as zero where b_i is zero, too; any other one as infinite
     nonzero = np.abs(direction) > ROUNDING

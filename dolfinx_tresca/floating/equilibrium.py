@@ -227,8 +227,9 @@ class FloatingBodies:
         """Return the resultants U'f (k,) of this rank's loads f, and term sums (k,). Collective.
 
         A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
-        node, which does not depend on the axes. Resultants that are rounding of it are set to zero.
+        node, which does not depend on the axes. Resultants below its rounding are set to zero.
         """
+        # `add_components` (nodes, degrees of freedom) adds up the components at each node
         U, dim = self.displacements, self.modes.dim
         add_components = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
         lengths, forces = (add_components @ U.power(2)).sqrt(), np.sqrt(add_components @ f**2)

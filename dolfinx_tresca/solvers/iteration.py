@@ -74,7 +74,7 @@ class Iterate:
         r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
-        learned: whether the last step has changed the model of A, or accuracies; True before it.
+        learned: whether the last step has changed the model of A, or accuracies; True at first.
     """
 
     x: Array
@@ -86,7 +86,8 @@ class Iterate:
         """Begin at zero, where no product is needed."""
         self._problem, self.finest, self.learned = problem, 0.0, True
         self._is_exact = problem.compliance.exact
-        # the error of gradients: requested as part of the last step's length, and the least one
+        # the requested error of a gradient is the part `_part` of the last step's `_length`; the
+        # solver for K does not reach less than `_least`
         self._part, self._length, self._least = FORCING, 0.0, 0.0
         self.return_to_zero()
 
@@ -132,8 +133,7 @@ class Iterate:
     def _new_product(self, direction: Array) -> Array:
         """Return A times a step (size,), exact to rounding. Collective.
 
-        Known products give A times a part of the step; the product of the rest is computed, and
-        added to the store.
+        Known products give A times a part of the step; that of the rest is computed, and kept.
         """
         before, (new, product) = len(self.store), self.store.split(direction)
         # the product of the whole step, less the known part, would have rounding errors that grow
@@ -170,7 +170,8 @@ class Iterate:
         wanted = max(relative * self._energy_norm(x), self.finest)
         self.x, self.r, self.error = x, product - b, error + problem.b_error
         if self.error > wanted:
-            # more accurate than b, products of tiny multipliers would consist of the error of b
+            # an accuracy below the error of b is useless: the product with tiny multipliers would
+            # consist of this error
             self.r, self.error = problem.gradient(x, max(wanted, problem.b_error))
             self.store.add(x, self.r + b, self.error + problem.b_error)
 
@@ -354,7 +355,7 @@ class ModelNewton:
         return ContactStatus.NO_FIXED_POINT
 
     def complete_products(self) -> bool:
-        """Compute the rest of A unless known or too large; return whether it was. Collective."""
+        """Compute A unless it is known or too large; return whether it was computed. Collective."""
         is_known = isinstance(self.iterate.store, WholeModel)
         if is_known or not self.problem.compliance.complete_products():
             return False
@@ -375,8 +376,7 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
 
     The slip bounds g are those of the point. The result is None if no body floats, or if some
     multipliers with these bounds satisfy the constraints. Otherwise the shift z of `balance` grows
-    along a rigid motion whose work of loads e'z exceeds the largest work of friction, the sum of g
-    |G z|.
+    along a rigid motion whose work of loads e'z exceeds the sum of g |G z|, the work of friction.
     """
     constraints, section = problem.constraints, problem.section_at(point.x, point.r)
     if len(constraints) == 0:

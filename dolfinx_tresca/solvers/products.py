@@ -20,7 +20,6 @@ from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 #: multipliers. With it, linear systems have a solution even if the constraints have none.
 LEAST_SOFTNESS = 1e-10
 
-
 #: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
 #: where a bound of friction is nearly zero, would hide the other equations of its node. With 1e150,
 #: bounds of 1e-300 overflow.
