@@ -236,7 +236,7 @@ class LinearisedContact:
         # a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
-            dual.equilibrium.move(y, v.x.petsc_vec, c)
+            dual.equilibrium.add_rigid_displacements(y, v.x.petsc_vec, c)
         v.x.petsc_vec.array[prescribed] = force.array[prescribed]
         v.x.scatter_forward()
         return v, y

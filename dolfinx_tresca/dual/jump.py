@@ -171,8 +171,9 @@ class JumpOperator(PetscOwner):
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
-        # the bounds of discs: first of those of nodes, then zero for rows without friction. Bounds
-        # are stresses, multipliers stresses times roots of areas; coefficients are ratios
+        # the radius of a node's disc is the bound times `_relative_radius`; if the bound is a
+        # stress, also times the root of the area, as multipliers are, while a coefficient is a
+        # ratio. Discs of rows without friction, which come last, keep the radius 0
         count, nodes, roots = len(self.discs.radius), len(self._root_areas), self._root_areas
         constant, coefficient, limit = bounds_of_discs = np.zeros((3, count))
         names, units = ("constant", "coefficient", "limit"), (roots, 1.0, roots)

@@ -82,7 +82,7 @@ def central_differences(
     None if no value changes. Error messages call the values by the `name`.
 
     Raises:
-        InputError: a value changes with a Function: only Constants can be changed as a whole.
+        InputError: values depend on a Function: derivatives are known by Constants only.
     """
     given = values_of(control).copy()
     result: Array | None = None

@@ -317,7 +317,7 @@ class DualProgram:
         r = self.gradient_of(u)
         if self.equilibrium is None:
             return r, 0.0
-        return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
+        return r - self.constraints.columns @ c, self.equilibrium.add_rigid_displacements(x, u, c)
 
     def jump_of_tools(self, c: Array) -> Array:
         """Return G c (size,) for the motions of tools alone."""

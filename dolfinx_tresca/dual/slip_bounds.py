@@ -274,7 +274,8 @@ class SlipBounds:
     def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
         """Return values (n,) at nodes of this rank, checked as bounds. Collective.
 
-        Negative values are an error; down to the `rounding`, they become zero.
+        Negative values are an error, unless they are above -`rounding`, or rounding of the largest
+        value: then they become zero.
         """
         values = self.values.values_at(field, nodes, name)[:, 0]
         largest = values[np.isfinite(values)].max(initial=0.0)

@@ -145,7 +145,7 @@ class Equilibrium:
     bodies: FloatingBodies
     factors: Array
 
-    def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
+    def add_rigid_displacements(self, x: Array, u: PETSc.Vec, c: Array) -> float:
         """Add the displacements U (factors * c) to u = K_p^-1 (f - B'x). Collective.
 
         The result is the energy norm of the rigid displacements that equilibrium still lacks.

@@ -128,9 +128,7 @@ def relative_error(problem: DualProblem, bound: float, displacement_norm: float)
     """Return an error bound divided by the norm of the displacement; 0 if both are rounding.
 
     If the contact carries all loads and no body deforms, the displacement and its error are both
-    only rounding errors of displacements that cancel, and their ratio has no meaning.
-
-    Collective.
+    only rounding errors of displacements that cancel, and their ratio has no meaning. Collective.
     """
     if bound == 0.0 or max(bound, displacement_norm) <= problem.energy_resolution():
         return 0.0

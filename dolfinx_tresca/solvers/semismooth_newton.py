@@ -155,8 +155,8 @@ class SemismoothNewton:
 
         A point with at most the residual `tolerance` counts as a solution. The method ends
 
-        - at a solution; but if A is known whole or there are constraints, it goes on until a step
-          makes no progress, or the residual is rounding, or
+        - at a solution; but if A is known whole or there are constraints, only once a step from it
+          makes no progress, or the residual is rounding; or
         - after `PATIENCE` steps without progress, or after `most_steps` steps.
 
         `newton_solution` sets `is_solved` of the result.
