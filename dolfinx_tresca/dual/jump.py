@@ -174,18 +174,18 @@ class JumpOperator(PetscOwner):
         # the radius of a node's disc is the bound times `_relative_radius`; if the bound is a
         # stress, also times the root of the area, as multipliers are, while a coefficient is a
         # ratio. Discs of rows without friction, which come last, keep the radius 0
-        count, nodes, roots = len(self.discs.radius), len(self._root_areas), self._root_areas
-        constant, coefficient, limit = bounds_of_discs = np.zeros((3, count))
-        names, units = ("constant", "coefficient", "limit"), (roots, 1.0, roots)
-        for name, unit, radii in zip(names, units, bounds_of_discs, strict=True):
+        count, roots = len(self.discs.radius), self._root_areas
+        ratios, scaled = self._relative_radius, self._relative_radius * roots
+        factors = {"constant": scaled, "coefficient": ratios, "limit": scaled}
+        constant, coefficient, limit = radii = np.zeros((3, count))
+        for (name, factor), result in zip(factors.items(), radii, strict=True):
             values = np.concatenate([getattr(bounds, name) for bounds in slip_bounds])
-            factors = self._relative_radius * unit
-            np.multiply(values, factors, out=radii[:nodes], where=factors > 0.0)  # inf times 0: 0
+            np.multiply(values, factor, out=result[: len(roots)], where=factor > 0.0)  # no inf * 0
         given = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
             return given
         root = np.ones(count)
-        root[:nodes] = np.where(roots > 0.0, roots, 1.0)
+        root[: len(roots)] = np.where(roots > 0.0, roots, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
