@@ -94,7 +94,7 @@ class SaddleLift(Lift):
     def __init__(self, jump: JumpOperator) -> None:
         """Factor (K, B'; B, 0). Collective.
 
-        If the factorisation fails as rows of B are dependent, `energy_norm` always returns inf.
+        If rows of B are linearly dependent, `energy_norm` returns inf for any jump.
 
         Raises:
             StiffnessError: rows of B are linearly independent of each other, but not of the rows of
@@ -220,7 +220,7 @@ class DiscretisationError:
 
     The estimate is no bound: docs/theory/accuracy.md says how far it was from the error, and where
     it is too small. Penetration between the few nodes of a stiff secondary surface causes no strain
-    and is not estimated; it is large only if the soft side alone is refined (not by `adapt`).
+    and is not estimated; it is large if the soft side alone is refined, which `adapt` prevents.
     """
 
     def __init__(self, a: ufl.Form, V: fem.FunctionSpace, axisymmetric: bool = False) -> None:
@@ -352,7 +352,7 @@ def total(cells: fem.Function) -> float:
 def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
     """Return the matrix (m, n) that extrapolates from points of a cell to nodes by a polynomial.
 
-    A polynomial of the degree is determined at the `points` (n, d); the `nodes` are (m, d).
+    Values at the `points` (n, d) determine a polynomial of the degree; the `nodes` are (m, d).
     """
     element = basix.create_element(
         basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced, discontinuous=True

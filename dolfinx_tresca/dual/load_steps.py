@@ -152,7 +152,7 @@ class SlipHistory:
         origin: (size,) s, the tangential jump at which the slip of the step is zero, divided by
             `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
         slipped: for each pair an array (owned nodes of V, d + 1) with the sum of the slip vectors
-            of all steps, and the sum of their lengths [length]. Nodes without a partner stay.
+            of all steps, and the sum of their lengths [length]. Nodes without a partner keep them.
         dissipation: dissipation of all steps [energy].
         begun: whether a step was accepted; if not, slips count from the undeformed bodies.
     """

@@ -154,7 +154,7 @@ class NodalValues:
         """Return the derivatives of a weighted sum of nodal values by a Function. Collective.
 
         The weights (n,) are derivatives of a goal, from an adjoint solution. The result has a value
-        for each degree of freedom that this rank owns; None: no dependence.
+        for each degree of freedom that this rank owns; None: the field does not depend on it.
         """
         # slopes (n, k) by the k degrees of freedom of the cell from which a node takes its value
         space, dofmap = control.function_space, control.function_space.dofmap

@@ -177,7 +177,7 @@ class FloatingBodies:
     motions of tools follow the modes of bodies, with U = 0.
 
     Attributes:
-        displacements: U (owned degrees of freedom, k), sparse, due to forces of fixing springs.
+        displacements: U (owned degrees of freedom, k), sparse, caused by the fixing springs.
         stiffness: (k, k) stiffness of K against U, sparse.
         jumps: (size, k) B U, sparse; for the motions of tools the columns of `Tools.jumps`.
         tool_motions: the motions of tools.
@@ -227,7 +227,7 @@ class FloatingBodies:
         """Return the resultants U'f (k,) of this rank's loads f, and term sums (k,). Collective.
 
         A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
-        node, which does not depend on the axes. Resultants below its rounding are set to zero.
+        node, which does not depend on the axes. A resultant below its rounding is set to zero.
         """
         # `add_components` (nodes, degrees of freedom) adds up the components at each node
         U, dim = self.displacements, self.modes.dim

@@ -160,10 +160,10 @@ LOST = 1e-6
 #: First value of the damping, which is the fraction of the diagonal of the majorant G'G + C that is
 #: added to the Hessian. After a whole step, the damping is multiplied by `RELAXATION`, since the
 #: next step may be longer where phi is flat; after a part of a step, it is divided by this part. If
-#: rounding makes the matrix indefinite, the factor is `MORE_DAMPING`.
+#: rounding makes the matrix indefinite, it is multiplied by `MORE_DAMPING`.
 DAMPING, RELAXATION, MORE_DAMPING = 1e-4, 1e-3, 10.0
 
-#: Relative accuracy of the part of a step that minimises phi. It has kinks.
+#: Relative accuracy of the part of a step that minimises phi, whose kinks may be at tiny parts.
 PART_ACCURACY = 1e-6
 
 #: The search ends without a solution if all multipliers that satisfy the equations have a norm

@@ -55,7 +55,7 @@ class FeasibleSet:
     """Lambda: normal multipliers are not negative, tangential ones lie in the disc of their node.
 
     A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one in
-    2D and in a symmetry plane. Multipliers of bonded surfaces are in neither list, and free.
+    2D and in a symmetry plane. Multipliers of bonded surfaces are neither, and not restricted.
 
     Attributes:
         size: number of multipliers on this rank.
@@ -316,7 +316,7 @@ class FrictionCones(FeasibleSet):
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip, for some discs or none.
-        slip: (n_discs,) norm of the tangential gradient, at which curves are evaluated, or 0.0.
+        slip: (n_discs,) norm of the tangential gradient, at which curves are evaluated; or 0.0.
     """
 
     has_given_bounds = False

@@ -49,7 +49,8 @@ class DualProblem(InnerProduct, Protocol):
 
     In all methods, and in all functions of this room, x (size,) are multipliers, c (k,) are those
     of the constraints, and r (size,) is the gradient A x - b - G c at x; a `Point` has all three.
-    The error e of a gradient is given in the norm sqrt(e'A^-1 e), the displacement's energy norm.
+    The error e of a gradient is given in the norm sqrt(e'A^-1 e), which is the energy norm of the
+    error of the displacement.
 
     Attributes:
         b: (size,) the linear term.
