@@ -202,7 +202,8 @@ class NodalValues:
     ) -> Array:
         """Return the values (components, n) of a function at the nodes. Not collective.
 
-        The function may also return one value, or one vector, for all nodes, or (n,) for a scalar.
+        The function may return them in this shape, a vector (components,) for all nodes, or, if it
+        is a scalar, (n,) or a single number.
         """
         n = len(nodes)
         if n == 0:

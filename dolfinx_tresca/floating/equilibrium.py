@@ -356,7 +356,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     within = body[entries.row] == body[entries.col]  # all other bodies at rest
     own = csr_array((entries.data[within], (entries.row[within], entries.col[within])), gram.shape)
     together = UNRESISTED_SQUARE / max(len(np.unique(body)), 1) ** 4
-    # eigenvalues of up to 1e-13 are rounding, since the jumps are scaled to length 1
+    # first single bodies, then all; eigenvalues of up to 1e-13 are rounding of jumps of length 1
     for matrix, least in ((own, UNRESISTED_SQUARE), (gram, max(together, 1e-13))):
         if m == 0 or is_positive_definite(matrix - least * eye_array(m)):
             continue

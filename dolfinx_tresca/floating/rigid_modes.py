@@ -214,7 +214,7 @@ class FixingSprings:
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""
         comm, k = self.modes.comm, len(self.modes)
-        Z = sparse_matrix(self.columns, (k if comm.rank == 0 else 0, k), comm)
+        Z = sparse_matrix(self.columns, (k if comm.rank == 0 else 0, k), comm)  # columns on rank 0
         springs, result = Z.matTransposeMult(Z), K.copy()
         result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)

@@ -200,7 +200,6 @@ def interior_point(
         return model.solve_on_face(maps, right, G, S, missing)
 
     # the start
-    # the start
     h = cone_map.constant
     identity = np.broadcast_to(np.eye(3), (len(h), 3, 3)).copy()
     x, c = solution(identity, -r0 - cone_map.transposed(h), constraints.values, 1.0)

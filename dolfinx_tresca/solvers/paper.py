@@ -51,7 +51,7 @@ def mssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with accurate inner solves.
 
     The inner CG iterations end at 1e-12 times the residual at the start. It converges fast if most
-    nodes stick, but need not converge: only a limit is a solution (Lemma 38.1).
+    nodes stick, but need not converge; if it does, the limit is the solution (Lemma 38.1).
     """
     return run.iterate(run.symmetrized_step, lambda: 1e-12 * run.history.residual_norms[0])
 
@@ -79,7 +79,7 @@ def gimssn(run: Run) -> DualSolution:
             curvature = float(problem.inner(product, move) / problem.inner(move, move))
             if curvature * residual.rho < 2.0:
                 break
-            # the Lanczos iteration missed an eigenvalue whose vector is almost orthogonal to b
+            # `largest_eigenvalue` missed an eigenvalue whose vector is almost orthogonal to b
             residual.set_rho(run.options.step_factor / curvature)
         projected = run.x + move
 
@@ -92,7 +92,7 @@ def gimssn(run: Run) -> DualSolution:
                 <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
             )
 
-        # CG steps that keep what is open or slips
+        # CG steps of `active` multipliers, while all others stay
         active, r = feasible_set.face(run.target).active, run.r + product
         change, image = conjugate_gradients(problem, active, r, tolerance, feasible=feasible)
         return feasible_set.project(projected + change), r + image

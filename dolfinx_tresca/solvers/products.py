@@ -303,7 +303,7 @@ class ProductStore:
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
         errors of the first. Pairs with errors are not orthonormal and need more passes. If the
         process always ended after two passes, parts along known pairs would remain and be added as
-        new pairs, until there are more pairs than unknowns. With exact pairs, two passes suffice.
+        new pairs, until there are more pairs than unknowns.
         """
         inner = self._reductions.inner
         coefficients: Array = np.zeros(len(self))
