@@ -229,7 +229,7 @@ class FixingSprings:
         """Return the displacements caused by forces of the springs alone. Collective.
 
         They are U = K_p^-1 Z Z'R, and equal R for modes that K does not resist. The solver is that
-        for `added_to(K)`; it computes V = R - U = K_p^-1 K R.
+        for `added_to(K)`.
 
         Returns:
             U (owned degrees of freedom, k), and the stiffness R'K U (k, k), which is exactly zero
@@ -238,6 +238,16 @@ class FixingSprings:
         modes, k = self.modes, len(self.modes)
         if modes.floats.all():
             return modes.basis, csr_array((k, k))
+        V = self._resisted_displacements(K, solver)
+        # the stiffness as R'Z Z'V, since the equal R'K R - (K R)'V would be a small difference of
+        # large terms; Z'R is the square root of `RigidBodyModes.stiffness`
+        springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
+        resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
+        return csr_array(modes.basis - V), csr_array(0.5 * (resisted + resisted.T))
+
+    def _resisted_displacements(self, K: PETSc.Mat, solver: StiffnessSolver) -> csr_array:
+        """Return V = R - U = K_p^-1 K R (owned degrees of freedom, k), sparse. Collective."""
+        modes, k = self.modes, len(self.modes)
         # forces of equal size on all bodies, since the accuracy is relative to the whole answer
         forces = product(K, modes.basis)
         norms = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
@@ -256,11 +266,7 @@ class FixingSprings:
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
             V = V + diags_array(answer.array) @ moves @ diags_array(chosen * norms)
-        # the stiffness as R'Z Z'V, since the equal R'K R - (K R)'V would be a small difference of
-        # large terms; Z'R is the square root of `RigidBodyModes.stiffness`
-        springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
-        resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
-        return csr_array(modes.basis - V), csr_array(0.5 * (resisted + resisted.T))
+        return V
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:

@@ -60,9 +60,7 @@ class EqualityConstraints:
     cases, the gradient in x is A x - b - G c. With k = 0, no method communicates.
 
     The equations express the equilibrium of floating bodies (`floating/equilibrium.py`); this
-    module does not depend on that meaning.
-
-    Methods are collective.
+    module does not depend on that meaning. Methods are collective.
 
     Attributes:
         columns: G (size, k), with columns of length 1 or less. A row has entries for few bodies.

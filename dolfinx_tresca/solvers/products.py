@@ -387,9 +387,8 @@ class WholeModel:
     corners of bricks that touch two other bricks; the shift s makes M positive definite. Since
     gradients are computed with A, the iteration with M is a proximal point method (Rockafellar
     1976): its solution is the solution for A, and the error falls by the factor s / (s + sigma) in
-    each iteration, where sigma is the least positive eigenvalue of A.
-
-    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Every rank has the matrix.
+    each iteration, where sigma is the least positive eigenvalue of A. A direct solver replaces
+    Woodbury's formula of `BlockBFGSModel`. Every rank has the matrix.
 
     Attributes:
         diagonal: (size,) diag(A).

@@ -56,7 +56,7 @@ class NewtonPoint(Point):
 
     Attributes:
         residual: residual as an energy.
-        is_solved: whether Newton's method has solved the equations.
+        is_solved: whether Newton's method has solved the equations, set by `newton_solution`.
     """
 
     residual: float
@@ -90,9 +90,8 @@ class SemismoothNewton:
     constraint by its compliance, the sum of G^2 / D. A step is halved until it reduces the residual
     by a tenth of what it promises. If no part of a step does, contact on this face holds some
     bodies only weakly, or not at all: then S is softened for the steps that follow, as in the
-    method of Levenberg and Marquardt. After good steps, S is stiffened again.
-
-    Methods are collective, and need no product with A.
+    method of Levenberg and Marquardt. After good steps, S is stiffened again. Methods are
+    collective, and need no product with A.
     """
 
     def __init__(self, problem: DualProblem, model: Model) -> None:
@@ -158,8 +157,6 @@ class SemismoothNewton:
         - at a solution; but if A is known whole or there are constraints, only once a step from it
           makes no progress, or the residual is rounding; or
         - after `PATIENCE` steps without progress, or after `most_steps` steps.
-
-        `newton_solution` sets `is_solved` of the result.
         """
         point = best = start
         softness, idle = self.softness, 0
