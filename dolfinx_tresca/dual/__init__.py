@@ -39,13 +39,16 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
    `DualProgram`. This takes the first solve with K, for u = K^-1 f, from which b follows.
 3. `iteration.solve` (room `solvers`) chooses the method, by default `ModelNewton.run`. It begins at
    the multipliers of the last solve, or at zero if the residual is smaller there. If bounds depend
-   on the pressure, a load step always begins at the accepted multipliers.
+   on the pressure, a load step begins at the tractions of the accepted step: there may be several
+   fixed points, and a process goes on with the nearest one.
 4. Each iteration has two parts. `solve_model` solves the contact problem with a model M in place of
    A: `SemismoothNewton.solve` takes steps that need no product with A, several times if M contains
-   the near field. Then `Iterate.move` takes the step to its solution, with a single product, which
+   the near field, whose products improve M. The result is a `NewtonPoint`. Then `Iterate.move`
+   takes the step to this point, with a single product with A, which gives the true gradient and
    improves M. No product is needed if A is known as a matrix: from the start if it has few rows, or
-   bodies are many and small, and later if the iteration is slow
-   (`ContactCompliance.complete_products`); only then `interior_point` helps Newton's method.
+   bodies are many and small, and later if the iteration is slow (`known_products` and
+   `complete_products` of `ContactCompliance`); and only then `interior_point` helps Newton's method
+   where it fails.
 5. `History.check_convergence` judges each iterate by its criteria. The last iterate becomes the
    `DualSolution`. Without progress the status is STAGNATED or, if bounds depend on the pressure,
    NO_FIXED_POINT, and `friction_deficit` looks for a motion that friction cannot hold.
@@ -57,9 +60,10 @@ that hardly anything holds (room `floating`), and factors K with springs that ho
    left linear theory. `print(solution)` shows its rows.
 
 For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
-bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 7, from the
-multipliers before; each new K has a new A, without products. `accept` (room `problem`) makes the
-tractions, slips and places of obstacles of a solution those from which the next load step begins.
+bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6 and the first
+sentence of step 7, from the multipliers before; each new K has a new A, without products. `accept`
+(room `problem`) makes the tractions, slips and places of obstacles of a solution those from which
+the next load step begins (`StepState.after_solution`).
 
 Read first: `jump.JumpOperator.__init__`, `program.DualProgram`, `program.DualProgram.gradient`.
 """

@@ -191,9 +191,8 @@ class NearField(PetscOwner):
     the local and the coarse space, which are orthogonal in the energy inner product,
     K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and positive semidefinite
     (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for K has no coarse
-    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
-
-    Owns PETSc objects: call `destroy()`. The caller keeps B and the solver for K.
+    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1. Owns PETSc objects: call
+    `destroy()`. The caller keeps B and the solver for K.
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
@@ -284,9 +283,8 @@ class ContactCompliance(PetscOwner):
     """A = B K^-1 B' of (38.4), and all data that follow from K alone: computed once for each K.
 
     If bodies float, K stands for K_p, which is K with springs that fix these bodies
-    (`floating/rigid_modes.py`). Data that not every solve needs are computed on first access.
-
-    Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
+    (`floating/rigid_modes.py`). Data that not every solve needs are computed on first access. Owns
+    PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
         springs: the springs in the solver's K that the system's K lacks; None: no body needs any.

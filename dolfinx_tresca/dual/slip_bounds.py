@@ -28,8 +28,7 @@ class NodalBounds:
         limit: (n,) l [stress], the upper limit of the part F p; infinite without a limit.
         shape: (n, 2) semi-axes of the friction ellipses along the first axis and across it,
             relative to the longer one, which is these bounds; 1 for circles.
-        direction: (n, 3) vectors of any length, with tangential parts along the first axes; None:
-            circles.
+        direction: (n, 3) vectors whose tangential parts are the first axes; None: all are circles.
         curve: F as a function of pressure and slip; None: F is the coefficient.
     """
 

@@ -6,7 +6,8 @@ The room imports numpy and scipy only, and can be read and tested with dense mat
 
 The problem is given by protocols (`problem.py`): `DualProblem` for b, Lambda and the gradients at
 multipliers, and `Compliance` for A, of which every product is counted. Arrays have the rows of one
-rank; `Reductions` adds them up. The page of the room `dual` follows one solve from the user's call.
+rank; `Reductions` adds them up. The page of the room `dual` follows one solve from the user's call
+through these algorithms to the table.
 
 - `ModelNewton`: the default method. A *model* M equals A where products are known; Newton's method
   solves the problem with M, and the step to its solution takes one product, which improves M.

@@ -45,8 +45,7 @@ def solve(
 
     The default method, `ModelNewton`, finds multipliers x that minimise q over the section of the
     friction cones at their own pressures. For Tresca's law, this section is Lambda. For Coulomb's
-    law, x is a fixed point: the solution of Tresca's problem with the slip bounds at the pressures
-    of x (Haslinger 1983).
+    law, x solves Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983).
 
     Raises:
         InputError: a method of the paper was chosen for slip bounds that depend on the pressure.

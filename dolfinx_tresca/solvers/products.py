@@ -21,8 +21,7 @@ from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 LEAST_SOFTNESS = 1e-10
 
 #: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
-#: where a bound of friction is nearly zero, would hide the other equations of its node. With 1e150,
-#: bounds of 1e-300 overflow.
+#: where a slip bound is nearly zero, would hide the node's other equations. (1e150 overflows.)
 STIFFEST = 1e8
 
 
