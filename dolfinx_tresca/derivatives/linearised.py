@@ -172,7 +172,7 @@ class LinearisedContact:
         # a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
-            dual.equilibrium.move(y, v.x.petsc_vec, c)
+            dual.equilibrium.add_rigid_displacements(y, v.x.petsc_vec, c)
         v.x.petsc_vec.array[prescribed] = force.array[prescribed]
         v.x.scatter_forward()
         return v, y
@@ -210,7 +210,7 @@ class LinearisedContact:
         missing, wanted_length = resultants, 0.0
         for number in range(MOST_STEPS):
             maps = self._maps(model.diagonal, transpose)
-            step_y, step_c = model.solve_between(
+            step_y, step_c = model.solve_on_face(
                 maps, residual, constraints.columns, constraints.softness, missing
             )
             length = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))

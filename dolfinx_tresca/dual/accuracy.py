@@ -43,16 +43,12 @@ class Lift:
 
     def __init__(self, jump: JumpOperator) -> None:
         """Factor B D B'. Collective."""
-        self._prepare(jump.system.K, jump.matrix)
+        self._K, self._B = jump.system.K, jump.matrix
+        (self._w, self._jump), (self._Kw, self._y) = self._B.createVecs(), self._B.createVecs()
         self._D = nodal_compliance(jump.system)
         weighted = self._B.copy()
         weighted.diagonalScale(R=self._D)
         self._solver = _factored_unless_singular(weighted.matTransposeMult(self._B))
-
-    def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
-        """Keep K and B, and make vectors. Collective."""
-        self._K, self._B = K, B
-        (self._w, self._jump), (self._Kw, self._multipliers) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jumps: Array) -> float:
         """Return |w|_K [energy^(1/2)] for jumps (size,); infinite if no w has them. Collective."""
@@ -60,19 +56,18 @@ class Lift:
             return np.inf
         self._jump.array = jumps
         w = self._lift(self._solver)
-        self._B.mult(w, self._multipliers)
-        self._multipliers.axpy(-1.0, self._jump)
-        # the ratio is of the order of 1 for a jump outside the range of B, which has dependent rows
-        # then, and otherwise of the order of rounding
-        if not self._multipliers.norm() <= 1e-6 * self._jump.norm():  # or NaN
+        self._B.mult(w, self._y)
+        self._y.axpy(-1.0, self._jump)
+        # B w - jump is rounding, unless rows of B are dependent and the jump is outside their range
+        if not self._y.norm() <= 1e-6 * self._jump.norm():  # or NaN
             return np.inf
         self._K.mult(w, self._Kw)
         return float(np.sqrt(max(w.dot(self._Kw), 0.0)))
 
     def _lift(self, solver: StiffnessSolver) -> PETSc.Vec:
         """Return w for the jump in `_jump`. Collective."""
-        solver.solve(self._jump, self._multipliers)
-        self._B.multTranspose(self._multipliers, self._w)
+        solver.solve(self._jump, self._y)
+        self._B.multTranspose(self._y, self._w)
         self._w.pointwiseMult(self._D, self._w)
         return self._w
 
@@ -80,10 +75,7 @@ class Lift:
 def _factored_unless_singular(
     matrix: PETSc.Mat, negative_pivots: int | None = 0
 ) -> StiffnessSolver | None:
-    """Return the factors of a symmetric matrix; None if rows are dependent. Collective.
-
-    The arguments are those of `cholesky`.
-    """
+    """Return `cholesky` of a symmetric matrix; None if rows are dependent. Collective."""
     matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     try:
         return cholesky(matrix, {}, None, negative_pivots)
@@ -92,9 +84,7 @@ def _factored_unless_singular(
 
 
 class SaddleLift(Lift):
-    """The displacement of least energy with a given jump, and its pressure.
-
-    Both are in w, which satisfies K w + B'y = 0 and B w = jump with multipliers y.
+    """The displacement and pressure w of least energy with B w = jump: K w + B'y = 0.
 
     `Lift` moves contact nodes only. In a body that cannot change its volume, moving contact nodes
     alone costs infinite, or nearly infinite, energy. This lift has the least energy of all lifts,
@@ -104,13 +94,13 @@ class SaddleLift(Lift):
     def __init__(self, jump: JumpOperator) -> None:
         """Factor (K, B'; B, 0). Collective.
 
-        If the factorisation fails because rows of B are linearly dependent, `energy_norm` returns
-        inf for any jump.
+        If rows of B are linearly dependent, `energy_norm` returns inf for any jump.
 
         Raises:
             StiffnessError: rows of B are linearly independent of each other, but not of the rows of
                 incompressibility in K: the contact closes in a body that cannot change its volume.
         """
+        # B without the columns of prescribed unknowns
         system = jump.system
         K = system.K
         free, zero = jump.matrix.createVecs()
@@ -124,9 +114,11 @@ class SaddleLift(Lift):
         nothing.assemble()
         whole = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm).copy()
         whole.convert(PETSc.Mat.Type.AIJ)
-        self._prepare(K, B)
+        self._K, self._B = K, B
+        (self._w, self._jump), (self._Kw, self._y) = B.createVecs(), B.createVecs()
         self._right, self._solution = whole.createVecs()
         self._solver = _factored_unless_singular(whole, negative_pivots=None)
+        # rows of B alone are independent if `Lift` finds a displacement for an irregular jump
         rough = np.cos(12.9898 * np.arange(1.0, len(jump.stress_scale) + 1.0))
         if self._solver is None and np.isfinite(Lift(jump).energy_norm(rough)):
             raise StiffnessError(
@@ -166,8 +158,7 @@ class EnergyBound:
     def __init__(self, jump: JumpOperator, nodal_stiffness: Array) -> None:
         """Prepare the lifts w. Collective.
 
-        The `nodal_stiffness` (size,) is that of a node with fixed neighbours, and the same for all
-        directions of a friction disc.
+        The `nodal_stiffness` (size,), with fixed neighbours, is the same within a friction disc.
         """
         self._nodal_stiffness = nodal_stiffness
         system = jump.system
@@ -190,12 +181,12 @@ class EnergyBound:
         # each node gets the jump for which the duality gap is smallest if its neighbours are fixed
         minimiser = x - self._nodal_stiffness * r
         projected = feasible_set.project(minimiser)
-        # the gradient at the new jump: in normal rows the gap, in tangential rows minus the slip
+        # the gradient at the new jump: in normal rows d - N v, in tangential rows s - T v
         gradient = (projected - minimiser) / self._nodal_stiffness
         n, t = feasible_set.normal, feasible_set.tangential
         friction = feasible_set.dissipation(gradient) + float(x[t] @ gradient[t])
         total = reduce_array(self.comm, float(x[n] @ gradient[n]) + max(friction, 0.0))
-        # r - gradient, but exactly zero at open nodes: rounding may be no jump of a displacement
+        # B w = r - gradient, but exactly zero at open nodes: rounding may be no displacement's jump
         lift = self._lift.energy_norm((x - projected) / self._nodal_stiffness)
         return float(np.sqrt(2.0 * float(total) + (lift + error) ** 2)) + error
 
@@ -218,35 +209,30 @@ class DiscretisationError:
 
     The gradient of a finite element displacement jumps from cell to cell. The mean at the nodes,
     weighted by the volumes of the cells, is a better gradient (Zienkiewicz and Zhu, 1987), and the
-    difference of the two gradients is an estimate of the error. The energy of this difference is
-    computed with the form `a`, in which the difference replaces the gradient; this works for any
-    cell and material. The gradient is evaluated at the Gauss points of order 2 (degree - 1), where
-    it is most accurate (Barlow, 1976), and extrapolated to the nodes, where means are taken.
+    difference of the two gradients is an estimate of the error. Its energy is computed with the
+    form `a`, in which the difference replaces the gradient. The gradient is evaluated at the Gauss
+    points of order 2 (degree - 1), where it is most accurate (Barlow, 1976), and extrapolated to
+    the nodes, where means are taken. If the material inside a body changes abruptly, the true
+    gradient jumps, too: each material then has means of its own, for up to `MOST_MATERIALS`
+    materials. If it varies from cell to cell without gaps between the stiffnesses, the estimate is
+    too large. In bodies of revolution, the error of the hoop strain u_r / r counts as zero: it is
+    of higher order than the error of the gradient, except in the cells at the axis.
 
     The estimate is no bound: docs/theory/accuracy.md says how far it was from the error, and where
-    it is too small, such as for degree 2 on regular meshes along which the solution varies in one
-    direction alone. If the material inside a body changes abruptly, the true gradient jumps, too:
-    each material then has means of its own, for up to `MOST_MATERIALS` materials. If it varies from
-    cell to cell without gaps between the stiffnesses, the estimate is too large.
-
-    In bodies of revolution, the error of the hoop strain u_r / r counts as zero: it is of higher
-    order than the error of the gradient, except in the cells at the axis.
-
-    Penetration between the few nodes of a stiff secondary surface causes no strain and is not
-    estimated. It is large only if the soft side alone is refined, which `adapt/solve.py`
-    prevents.
+    it is too small. Penetration between the few nodes of a stiff secondary surface causes no strain
+    and is not estimated; it is large if the soft side alone is refined, which `adapt` prevents.
     """
 
     def __init__(self, a: ufl.Form, V: fem.FunctionSpace, axisymmetric: bool = False) -> None:
         """Compile the forms, and divide the cells into materials. Collective.
 
-        The degree of V is 1 or 2. If `axisymmetric`, the form is that of bodies of revolution, with
-        the factor 2 pi x[0].
+        The degree of V is 1 or 2. If `axisymmetric`, the form has the factor 2 pi x[0].
         """
         mesh = V.mesh
         dim = mesh.geometry.dim
         degree = V.element.basix_element.degree
         self._last: tuple[Array, Array] | None = None  # the last displacement and its estimate
+        # the displacement, and the recovered gradient, which is a function of the same degree
         self._u = fem.Function(V)
         self._gradient = fem.Function(fem.functionspace(mesh, ("Lagrange", degree, (dim, dim))))
         cells = fem.functionspace(mesh, ("DG", 0))
@@ -255,6 +241,7 @@ class DiscretisationError:
         self._expression = fem.Expression(ufl.grad(self._u), points)
         nodes = interpolation_points(self._gradient.function_space.element)
         self._at_nodes = _continuation(cell, degree - 1, points, nodes)
+        # forms of one value in each cell: the energy of the difference, and the volume
         weight = ufl.TestFunction(cells)
         difference = self._gradient - ufl.grad(self._u)
         simplices = vertex_count(V) == mesh.topology.dim + 1
@@ -262,7 +249,7 @@ class DiscretisationError:
         self._square = fem.form(with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)
         self._cells, self._errors = cells, fem.Function(cells)
-        generic = ufl.as_tensor(np.eye(dim) + 1.0)
+        generic = ufl.as_tensor(np.eye(dim) + 1.0)  # any gradient that strains all directions
         ring = ufl.SpatialCoordinate(mesh)[0] if axisymmetric else ufl.as_ufl(1.0)
         self._materials, self._count = self._classify_materials(
             fem.form(with_gradient(a, generic, weight)), fem.form(weight * ring * ufl.dx)
@@ -279,9 +266,9 @@ class DiscretisationError:
     def products(self, u: fem.Function, z: fem.Function) -> Array:
         """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
-        Here e_u and e_z are the errors of the displacements u and z. The values may be negative.
-        They follow from the squared estimates for u + z and u - z, with u and z scaled to unit
-        size.
+        Here e_u and e_z are the errors of the displacements u and z. The values may be negative:
+        a(e_u, e_z) is a quarter of the difference of the squared estimates for u + z and u - z. For
+        this, u and z are scaled to unit size.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
@@ -292,10 +279,7 @@ class DiscretisationError:
         return np.asarray(0.25 * scale[0] * scale[1] * difference)
 
     def _squares(self, u: Array) -> Array:
-        """Return the squared estimates (cells,) of this rank's cells [energy]. Collective.
-
-        For the same displacement as in the last call, nothing is computed.
-        """
+        """Return the squared estimates (cells,) [energy], kept for the last u. Collective."""
         same = self._last is not None and np.array_equal(u, self._last[0])
         if self._last is not None and self._cells.mesh.comm.allreduce(same, op=MPI.LAND):
             return self._last[1]
@@ -314,32 +298,33 @@ class DiscretisationError:
 
         Collective. A material is a group of cells whose stiffnesses have no large gap between them:
         a stiffness that varies gradually makes one group. The form `energy` gives each cell's
-        energy for the same gradient in all cells, and `volume` the cells' volumes, or those of
-        their rings up to a constant factor.
+        energy for the same gradient in all cells, and `volume` the cells' volumes up to a factor.
         """
         volumes = self._assembled(volume)
-        stiffness = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
-        every = np.unique(gather_rows(self._cells.mesh.comm, np.unique(stiffness.round(2))))
+        logarithms = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
+        # the stiffnesses of all ranks in ascending order; materials end at the widest gaps
+        every = np.unique(gather_rows(self._cells.mesh.comm, np.unique(logarithms.round(2))))
         gaps = np.diff(every)
         widest = np.sort(np.argsort(gaps)[-(MOST_MATERIALS - 1) :])
         widest = widest[gaps[widest] > np.log(MATERIAL_CONTRAST)]
-        return np.digitize(stiffness, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
+        return np.digitize(logarithms, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
 
     def _recover(self, owned: LocalNumbers, volumes: Array) -> None:
-        """Set the recovered gradient at nodes: the mean over adjacent cells, weighted by volume.
+        """Set `_gradient` at nodes: the mean over adjacent cells, weighted by volume. Collective.
 
-        Collective. The `owned` cells (n,) have one material; the volumes are those of all cells.
+        Only the `owned` cells (n,) count, which have one material. Volumes are those of all cells.
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
         sums.array[:] = 0.0
-        tensors = sums.array.reshape(-1, dofmap.index_map_bs)
+        tensors = sums.array.reshape(-1, dofmap.index_map_bs)  # shares the memory
         for start in range(0, len(owned), CELLS_AT_ONCE):
             cells = owned[start : start + CELLS_AT_ONCE]
             nodes = dofmap.list[cells]
             sampled = self._expression.eval(mesh, cells)
             values = self._at_nodes @ sampled.reshape(len(cells), self._at_nodes.shape[1], -1)
-            # the sum over the cells at each node; numpy's add.at takes six times as long
+            # the sum over the cells at each node, by a matrix with a column for each node of each
+            # cell; numpy's add.at takes six times as long
             volume = np.repeat(volumes[cells], nodes.shape[1])
             ends = np.arange(nodes.size + 1)
             sum_at_nodes = csc_array((volume, nodes.ravel(), ends), (len(tensors), nodes.size))
@@ -358,7 +343,7 @@ class DiscretisationError:
 
 
 def total(cells: fem.Function) -> float:
-    """Return the root of the sum of squares of all cells' errors [energy^(1/2)]. Collective."""
+    """Return the error of all cells together [energy^(1/2)], the root of squares. Collective."""
     space = cells.function_space
     squares = np.square(cells.x.array[: space.dofmap.index_map.size_local])
     return float(np.sqrt(reduce_array(space.mesh.comm, squares.sum())))
@@ -367,7 +352,7 @@ def total(cells: fem.Function) -> float:
 def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
     """Return the matrix (m, n) that extrapolates from points of a cell to nodes by a polynomial.
 
-    The `points` (n, d) of the cell must be unisolvent for polynomials of the degree.
+    Values at the `points` (n, d) determine a polynomial of the degree; the `nodes` are (m, d).
     """
     element = basix.create_element(
         basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced, discontinuous=True

@@ -27,10 +27,10 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 @dataclasses.dataclass(frozen=True)
 class RowsOfPair:
-    """The nodes and rows of B of the multipliers that a pair owns, or of all that act on it.
+    """Nodes and rows of B: of the multipliers that a pair owns, or of all that act on the pair.
 
-    Pairs of a group (`PairGroup`) share multipliers: on a pair that owns none itself, or whose
-    nodes at a common edge have their multipliers in another pair, those of others act, too.
+    Pairs of a group (`PairGroup`) share multipliers: at an edge that pairs have in common, and on
+    pairs of the same nodes, one pair owns the multipliers, and they act on the others, too.
 
     Attributes:
         operators: the operators at these nodes. Their weights are the whole areas of the nodes that
@@ -57,8 +57,7 @@ class JumpOperator(PetscOwner):
     such that friction ellipses become discs.
 
     Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
-    multipliers, then its tangential multipliers. Physical tractions are `stress_scale` times
-    multipliers.
+    multipliers, then its tangential multipliers. Tractions are `stress_scale` times them.
 
     Owns PETSc objects: call `destroy()`. The caller keeps the linear system.
 
@@ -71,8 +70,7 @@ class JumpOperator(PetscOwner):
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system; with `frames`, B R,
             since the unknowns are displacements in the frames.
         stress_scale: (size,) stress per multiplier: 1 / sqrt(area), times the stretch.
-        length_scale: (size,) length per entry of a scaled jump: 1 / sqrt(area), divided by the
-            stretch.
+        length_scale: (size,) length per entry of a scaled jump: 1 / (sqrt(area) stretch).
         gap: (size,) the initial gaps d, divided by `length_scale`; zero for tangential rows.
         discs: Lambda with infinite slip bounds. The tangential rows of a node share one disc. At
             nodes with friction along only one of two tangents, the frictionless row has a disc of
@@ -87,28 +85,28 @@ class JumpOperator(PetscOwner):
         self.system, self.frames, self.comm = system, frames, system.comm
         self.reductions = RankReductions(system.comm)
         # nodes are numbered pair by pair, and rows too: those of N, then those of T
-        ends = np.cumsum([0, *(len(pair.nodes) for pair in pairs)]).tolist()
+        ends = np.cumsum([0, *(len(operators.nodes) for operators in pairs)]).tolist()
         self.nodes = [slice(*ends_of_pair) for ends_of_pair in pairwise(ends)]
         counts = [len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)]
         rows = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
         self._rows = list(zip(rows[::2], rows[1::2], strict=True))
         with_nodes = zip(pairs, self.nodes, strict=True)
-        self.row_nodes = np.concatenate([pair.row_node + nodes.start for pair, nodes in with_nodes])
-        self._root_areas = np.sqrt(np.concatenate([pair.weights for pair in pairs]))
+        self.row_nodes = np.concatenate([p.row_node + nodes.start for p, nodes in with_nodes])
+        self._root_areas = np.sqrt(np.concatenate([operators.weights for operators in pairs]))
         scale: Array = 1.0 / self._root_areas[self.row_nodes]
         is_tangential, is_bonded = np.zeros((2, len(scale)), dtype=np.bool_)
-        for pair, (n, t) in zip(pairs, self._rows, strict=True):
+        for operators, (n, t) in zip(pairs, self._rows, strict=True):
             is_tangential[t] = True
-            is_bonded[n] = is_bonded[t] = pair.bonded
+            is_bonded[n] = is_bonded[t] = operators.bonded
         self.is_tangential = is_tangential
         # friction ellipses become discs by a stretch of the tangential rows
         tangential, count = np.flatnonzero(is_tangential), len(self._root_areas)
-        semi_axes = np.concatenate([pair.semi_axes for pair in pairs])
+        semi_axes = np.concatenate([operators.semi_axes for operators in pairs])
         stretch = np.ones(len(scale))
         stretch[tangential], self._relative_radius, frictionless = friction_discs(
             self.row_nodes[tangential], semi_axes, count
         )
-        # rows times the roots of areas, and then times the stretch
+        # `assemble_B` multiplies rows by the roots of areas; then they are stretched
         self._of_V = B = assemble_B(system.V, pairs)
         self._multipliers, self._jump = B.createVecLeft(), B.createVecLeft()
         self._multipliers.array = stretch
@@ -131,7 +129,7 @@ class JumpOperator(PetscOwner):
         self.discs = FeasibleSet(len(scale), normal, tangential, node, radius, normal_of)
 
     def destroy(self) -> None:
-        """Free the PETSc objects. Collective."""
+        """Free the PETSc objects, `_components` if it has been made. Collective."""
         for owned in (self._multipliers, self._jump, self._force, self.work, self.matrix):
             owned.destroy()
         if self._of_V is not self.matrix:
@@ -143,48 +141,51 @@ class JumpOperator(PetscOwner):
     def by_pair(self) -> list[RowsOfPair]:
         """The nodes and rows of all multipliers that act on each pair."""
         result = []
-        for k, pair in enumerate(self.pairs):
-            # nodes of all pairs of the group whose areas are in part those of this pair
-            numbers = pair.undeformed.group.numbers
-            operators, acts = [], np.zeros(len(self._root_areas), dtype=np.bool_)
+        for k in range(len(self.pairs)):
+            # of each pair j of the group, the nodes whose areas are in part those of pair k
+            numbers = self.pairs[k].undeformed.group.numbers
+            acting, acts = [], np.zeros(len(self._root_areas), dtype=np.bool_)
             for j in numbers:
-                share = self.pairs[j].shares[:, numbers.index(k)]
-                keep = acts[self.nodes[j]] = share > 0.0
+                area = self.pairs[j].shares[:, numbers.index(k)]
+                keep = acts[self.nodes[j]] = area > 0.0
                 at_nodes = self.pairs[j].at_nodes(keep)
-                operators.append(dataclasses.replace(at_nodes, weights=share[keep]))
+                acting.append(dataclasses.replace(at_nodes, weights=area[keep]))
             row_acts = acts[self.row_nodes]
             masks = acts, row_acts & ~self.is_tangential, row_acts & self.is_tangential
-            result.append(RowsOfPair(joined(operators), *map(np.flatnonzero, masks)))
+            result.append(RowsOfPair(joined(acting), *map(np.flatnonzero, masks)))
         return result
 
     def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
         """Set the pairs, which may be copies with other distances or gaps. Not collective."""
         self.pairs, self.gap = list(pairs), np.zeros(len(self.length_scale))
         self.own_rows = [
-            RowsOfPair(pair, np.arange(nodes.start, nodes.stop), normal, tangential)
-            for pair, nodes, (normal, tangential) in zip(pairs, self.nodes, self._rows, strict=True)
+            RowsOfPair(operators, np.arange(nodes.start, nodes.stop), *rows)
+            for operators, nodes, rows in zip(pairs, self.nodes, self._rows, strict=True)
         ]
-        for pair, (normal, _) in zip(pairs, self._rows, strict=True):
-            self.gap[normal] = pair.gap[pair.normal_node] / self.length_scale[normal]
+        for operators, (normal, _) in zip(pairs, self._rows, strict=True):
+            gaps = operators.gap[operators.normal_node]
+            self.gap[normal] = gaps / self.length_scale[normal]
 
     def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet:
         """Return Lambda for slip bounds at each pair's nodes. Collective.
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
-        # bounds at nodes become radii of discs, in the scale of multipliers; factors of a pressure
-        # need no scale, since the pressure has the same one
-        count, radius = len(self.discs.radius), self._relative_radius
-        scaled = radius * self._root_areas
-        constant, coefficient, limit = (
-            _scaled(np.concatenate([getattr(bounds, name) for bounds in slip_bounds]), by, count)
-            for name, by in {"constant": scaled, "coefficient": radius, "limit": scaled}.items()
-        )
+        # the radius of a node's disc is the bound times `_relative_radius`; if the bound is a
+        # stress, also times the root of the area, as multipliers are, while a coefficient is a
+        # ratio. Discs of rows without friction, which come last, keep the radius 0
+        count, roots = len(self.discs.radius), self._root_areas
+        ratios, scaled = self._relative_radius, self._relative_radius * roots
+        factors = {"constant": scaled, "coefficient": ratios, "limit": scaled}
+        constant, coefficient, limit = radii = np.zeros((3, count))
+        for (name, factor), result in zip(factors.items(), radii, strict=True):
+            values = np.concatenate([getattr(bounds, name) for bounds in slip_bounds])
+            np.multiply(values, factor, out=result[: len(roots)], where=factor > 0.0)  # no inf * 0
         given = dataclasses.replace(self.discs, radius=constant)
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
             return given
         root = np.ones(count)
-        root[: len(self._root_areas)] = np.where(self._root_areas > 0.0, self._root_areas, 1.0)
+        root[: len(roots)] = np.where(roots > 0.0, roots, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
         return FrictionCones(
@@ -197,10 +198,10 @@ class JumpOperator(PetscOwner):
         The result is self if all tangents stay the same, else a new operator that the caller owns.
         """
         pairs = [
-            with_tangents_along_axes(self.system.V, pair, bounds)
-            for pair, bounds in zip(self.pairs, slip_bounds, strict=True)
+            with_tangents_along_axes(self.system.V, operators, bounds)
+            for operators, bounds in zip(self.pairs, slip_bounds, strict=True)
         ]
-        same = all(pair is before for pair, before in zip(pairs, self.pairs, strict=True))
+        same = all(new is old for new, old in zip(pairs, self.pairs, strict=True))
         everywhere = self.comm.allreduce(same, op=MPI.LAND)
         return self if everywhere else JumpOperator(self.system, pairs, self.frames)
 
@@ -211,9 +212,9 @@ class JumpOperator(PetscOwner):
     def components(self, vectors: Sequence[Array]) -> Array:
         """Return the values (size,) of B's rows from `nodal_vectors`. Not collective."""
         result = np.zeros(len(self.gap))
-        for pair, (n, t), at_nodes in zip(self.pairs, self._rows, vectors, strict=True):
-            result[n] = at_nodes[pair.normal_node, 0]
-            result[t] = dots(at_nodes[pair.tangent_node, 1:], pair.tangents)
+        for operators, (n, t), at_nodes in zip(self.pairs, self._rows, vectors, strict=True):
+            result[n] = at_nodes[operators.normal_node, 0]
+            result[t] = dots(at_nodes[operators.tangent_node, 1:], operators.tangents)
         return result
 
     def of_unknowns(self, u: PETSc.Vec) -> Array:
@@ -230,10 +231,7 @@ class JumpOperator(PetscOwner):
         return np.array(self._jump.array)
 
     def vectors(self, u: fem.Function) -> list[Array]:
-        """Return for each pair the jumps of u (n, d) [length] at its nodes. Collective.
-
-        The jumps have all components, whether or not the node has multipliers along them.
-        """
+        """Return for each pair all components of the jumps of u (n, d) [length]. Collective."""
         product = self._components.createVecLeft()
         self._components.mult(u.x.petsc_vec, product)
         vectors = product.array.reshape(-1, self.system.V.dofmap.index_map_bs).copy()
@@ -245,15 +243,16 @@ class JumpOperator(PetscOwner):
         Nodes without a row of N, such as nodes that are prescribed along the normal, are included.
         """
         return [
-            dots(vectors, pair.normals)
-            for vectors, pair in zip(self.vectors(u), self.pairs, strict=True)
+            dots(vectors, operators.normals)
+            for vectors, operators in zip(self.vectors(u), self.pairs, strict=True)
         ]
 
     @cached_property
     def _components(self) -> PETSc.Mat:
-        """The rows of all components of the jumps at all nodes. Collective."""
+        """The matrix from u to all components of the jumps at all nodes. Collective."""
         dofmap = self.system.V.dofmap
-        rows = [kron(pair.jump, np.eye(dofmap.index_map_bs), format="csr") for pair in self.pairs]
+        identity = np.eye(dofmap.index_map_bs)
+        rows = [kron(operators.jump, identity, format="csr") for operators in self.pairs]
         return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
 
     def whole_force(self, x: Array) -> PETSc.Vec:
@@ -275,13 +274,6 @@ class JumpOperator(PetscOwner):
         return force
 
 
-def _scaled(values: Array, factors: Array, count: int) -> Array:
-    """Return values times factors, 0 for inf times 0, padded with zeros to `count` entries."""
-    result = np.zeros(count)
-    np.multiply(values, factors, out=result[: len(values)], where=factors > 0.0)
-    return result
-
-
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
     """Return 1 / diag(K), zero except at free displacements; owned by the caller. Collective."""
     compliance = system.K.getDiagonal()
@@ -296,7 +288,7 @@ def local_stiffness(jump: JumpOperator) -> Array:
 
     This is the stiffness of a node whose neighbours are fixed. In A, neighbours are not fixed:
     diag(A) is about the inverse of this stiffness, times a factor that hardly varies over a
-    surface.
+    surface. In the code, B diag(K)^-1 B' has the diagonal (B_ij^2) diag(K)^-1.
     """
     squares = jump.matrix.copy()
     squares.assemble()

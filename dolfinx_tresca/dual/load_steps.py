@@ -31,17 +31,18 @@ def displaced_jump(
 ) -> JumpOperator:
     """Return B of displaced surfaces, owned by the caller. Collective.
 
-    The gap is compared with N times the total displacement. Hence it is the distance of the
-    displaced surfaces plus N u. Bending of edges by u is treated differently on the two sides. On
-    the primary side, the distance is measured to the bent edges, since they may now face other
-    nodes; so the N u that is added contains their bending. On the secondary side, neither term
-    contains the bending, which is part of N times the total displacement: the heights of curved
-    edges over their chords stay as in the previous B. Bonded pairs stay the same. Surfaces are
-    paired at u [length] if `anew` says so for their pair, and if they are not bonded.
+    Surfaces are paired at u [length] if `anew` says so for their pair, or for another pair of its
+    group; bonded pairs stay the same. The gap is compared with N times the total displacement.
+    Hence it is the distance of the displaced surfaces plus N u. Bending of edges by u is treated
+    differently on the two sides. On the primary side, the distance is measured to the bent edges,
+    since they may now face other nodes; so the N u that is added contains their bending. On the
+    secondary side, neither term contains the bending, which is part of N times the total
+    displacement: the heights of curved edges over their chords stay as in the previous B.
 
     Raises:
         PairingError: the displaced surfaces cannot be paired.
     """
+    # groups with a pair that is paired anew are paired anew as a whole
     system, V = before.system, u.function_space
     stay = [old.bonded or not new for old, new in zip(before.pairs, anew, strict=True)]
     values = u.x.array.reshape(-1, V.dofmap.index_map_bs)
@@ -54,7 +55,8 @@ def displaced_jump(
             for k, operator in zip(numbers, paired, strict=True):
                 stay[k] = before.pairs[k].bonded
                 operators[k] = before.pairs[k] if stay[k] else operator
-    paired_at = u.copy()  # the vector that the jump makes of u would be left to garbage collection
+    # gaps of these pairs; of a copy, since PETSc's vector of u would be left to garbage collection
+    paired_at = u.copy()
     jump = JumpOperator(system, operators, frames)
     with destroyed_on_error(jump):
         closings = jump.closings(paired_at)
@@ -63,6 +65,7 @@ def displaced_jump(
                 if straight_u is not values:
                     paired_at.x.array[:] = _bent_primary(V, straight_u, values, pair, new).ravel()
                     closings = jump.closings(paired_at)
+                # the heights of curved edges in the previous B; 0 at new nodes
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
                 distance = new.distance + new.secondary_sagitta - raised + closings[k]
                 operators[k] = dataclasses.replace(new, distance=distance, secondary_sagitta=raised)
@@ -75,15 +78,15 @@ def _bent_primary(
 ) -> Array:
     """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
 
-    N of the result enters the gap. On a surface that touches itself the primary nodes are those
-    opposite to secondary nodes. If the true surface of a side is known, primary edges are straight,
-    too: the height of these surfaces over the facets is kept. Displacements are arrays (nodes, dim
-    of space) [length]; `straight_u` is `straightened` u.
+    N of the result enters the gap. If the true surface of a side is known, primary edges are
+    straight, too: the height of these surfaces over the facets is kept. So are the edges of an
+    obstacle. Displacements are (nodes, dim of space) [length]; `straight_u` is `straightened` u.
     """
     sides = operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
         return straight_u
-    if pair.touches_itself:  # the tags do not tell primary from secondary nodes
+    if pair.touches_itself:
+        # tags do not tell primary from secondary nodes: primary is what faces secondary nodes
         numbers = np.unique(gather_rows(V.mesh.comm, np.unique(operators.primary.indices)))
         nodes = V.dofmap.index_map.global_to_local(numbers)
         nodes = nodes[nodes >= 0]
@@ -98,8 +101,7 @@ def _bent_primary(
 class Carry:
     """Carries tractions and jumps over to another B of the same pairs, node by node.
 
-    A tangential vector loses its part that is normal to the new tangents. Values at new nodes are
-    zero.
+    A tangential vector loses its part that is normal to the new tangents. New nodes get zero.
     """
 
     def __init__(self, before: JumpOperator, after: JumpOperator) -> None:
@@ -127,9 +129,9 @@ class Carry:
 def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
     """Return the position (n,) of each node among old ones; len(old_nodes) if it is missing.
 
-    Both arrays are ascending. A node on a sharp edge occurs once for each of its normals: its
-    occurrences are matched in order.
+    Both arrays are ascending. A node on a sharp edge occurs once for each normal, in order.
     """
+    # a key for each occurrence of a node: the node's number times `most`, plus 0, 1, ...
     most = max(len(nodes), len(old_nodes))
     keys, old_keys = (
         array.astype(np.int64) * most + np.arange(len(array)) - np.searchsorted(array, array)
@@ -144,18 +146,15 @@ class SlipHistory:
     """The slip and the dissipation of the accepted load steps.
 
     In a quasi-static process, friction resists the slip T u - s of each step, where s is the slip
-    origin, and dissipates energy (docs/theory/problem.md). This formulation is implicit in time,
-    like the backward Euler method.
+    origin, and dissipates energy (docs/theory/problem.md). The method is that of backward Euler.
 
     Attributes:
         origin: (size,) s, the tangential jump at which the slip of the step is zero, divided by
             `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
         slipped: for each pair an array (owned nodes of V, d + 1) with the sum of the slip vectors
-            of all steps, and the sum of their lengths [length]. Nodes that have no partner at
-            present keep their values.
+            of all steps, and the sum of their lengths [length]. Nodes without a partner keep them.
         dissipation: dissipation of all steps [energy].
-        begun: whether a step was accepted; if not, slips count from the undeformed bodies, as in a
-            static problem.
+        begun: whether a step was accepted; if not, slips count from the undeformed bodies.
     """
 
     origin: Array
@@ -184,12 +183,11 @@ class SlipHistory:
     def from_slip(
         cls, jump: JumpOperator, slips: Sequence[Array], dissipation: float
     ) -> SlipHistory:
-        """Return the history of a single accepted step with given slips. Not collective.
+        """Return the history of a single accepted step. Not collective.
 
-        For each pair, slips (n, d + 1) are slip vectors at its nodes and the lengths of their paths
-        [length].
+        For each pair, slips (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
         """
-        # without the lengths of paths, and with a zero normal component in front
+        # as in `JumpOperator.components`: a zero normal component in front, and no lengths of paths
         vectors = [np.pad(slip[:, :-1], ((0, 0), (1, 0))) for slip in slips]
         origin = jump.components(vectors) / jump.length_scale
         return cls.none(jump).after(jump, origin, slips, dissipation)
@@ -201,8 +199,7 @@ class SlipHistory:
 
         The slip (size,) is divided by `JumpOperator.length_scale`, and exactly zero at sticking
         nodes, since residuals of the iteration would add up over the steps. For each pair, steps
-        (n, d + 1) are the slip vectors at its nodes and the increments of their slip paths
-        [length].
+        (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
         """
         slipped = []
         for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):

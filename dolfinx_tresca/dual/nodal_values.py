@@ -29,8 +29,7 @@ from dolfinx_tresca.scene.friction import ScalarField, VectorField, expression_o
 #: rounding of one value divided by the step.
 DIFFERENCE = 1e-5
 
-#: Magnitudes of a control that are tried in turn if its own gives no useful difference: it may be
-#: zero, or a rounding error.
+#: Magnitudes of a control that are tried in turn if its own, which may be 0, is of no use.
 MAGNITUDES = (1.0, 1e-3, 1e-6, 1e-9)
 
 #: Least and largest change of values, relative to the largest value, with which a difference is
@@ -39,7 +38,7 @@ LEAST_CHANGE, LARGEST_CHANGE = 1e-12, 1e-2
 
 
 def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
-    """Return the Constants and Functions in a field, and the variables of a Python function."""
+    """Return the Constants and Functions in a field, or those that a Python function reads."""
     if isinstance(field, tuple):
         return [variable for component in field for variable in inputs_of(component)]
     field = expression_of(field)
@@ -78,14 +77,18 @@ def central_differences(
 ) -> Array | None:
     """Return the derivatives of values along directions of a control. Collective.
 
-    No list of what a Python function reads is needed: the result is None if nothing changes. The
-    `directions` are (k, number of values of the control), the values of this rank (n, ...), and the
-    result (k, n, ...). Error messages call the values by the name.
+    The function `values` returns this rank's values (n, ...), by Python code that reads the control
+    or not. The `directions` are (k, number of values of the control). The result (k, n, ...) is
+    None if no value changes. Error messages call the values by the `name`.
+
+    Raises:
+        InputError: values depend on a Function: derivatives are known by Constants only.
     """
     given = values_of(control).copy()
     result: Array | None = None
+    # the first magnitude with a useful change, or else the first with any change
     for magnitude in (*largest_abs(comm, given), *MAGNITUDES):
-        ends = []
+        ends = []  # the values at +end along each direction, then those at -end
         for end in (DIFFERENCE * magnitude, -DIFFERENCE * magnitude):
             for direction in directions:
                 with replaced([control], [given + end * direction]):
@@ -116,21 +119,20 @@ class NodalValues:
     def values_at(
         self, field: ScalarField | VectorField, nodes: LocalNumbers, name: str, components: int = 1
     ) -> Array:
-        """Return the present values (n, 1 or 3) of a scalar or vector at nodes. Collective.
+        """Return the present values (n, components) of a scalar or vector at nodes. Collective.
 
-        Error messages call the field by its `name`.
+        A scalar has 1 component, a vector 3. Error messages call the field by its `name`.
 
         Raises:
-            InputError: the field is on another mesh, or a function returns neither one value nor
-                one value for each point.
+            InputError: the field is on another mesh, or a function returns arrays of another shape.
         """
         field = expression_of(field)
         if isinstance(field, fem.Constant):
             field = field.value
         if isinstance(field, fem.Function):
             self._check_mesh(field, name)
+            # interpolation keeps infinite values, which basis functions would spread as NaN
             nodal = fem.Function(self._V)
-            # keeps values that are infinite, which basis functions would spread as NaN
             (nodal if components > 1 else nodal.sub(0)).interpolate(field)
             values = nodal.x.array.reshape(-1, self._V.dofmap.index_map_bs)
             return np.asarray(values[nodes, :components])
@@ -152,9 +154,9 @@ class NodalValues:
         """Return the derivatives of a weighted sum of nodal values by a Function. Collective.
 
         The weights (n,) are derivatives of a goal, from an adjoint solution. The result has a value
-        for each degree of freedom that this rank owns; it is None if the field does not depend on
-        the Function.
+        for each degree of freedom that this rank owns; None: the field does not depend on it.
         """
+        # slopes (n, k) by the k degrees of freedom of the cell from which a node takes its value
         space, dofmap = control.function_space, control.function_space.dofmap
         slopes = self.slopes(field, control, ufl.TestFunction(space), nodes, name)
         if slopes is None:
@@ -175,6 +177,7 @@ class NodalValues:
         is_constant = isinstance(control, fem.Constant)
         field = expression_of(field)
         if callable(field) and not isinstance(field, Expr):
+            # of a Function, it is only asked whether values change
             comm, values = self._V.mesh.comm, partial(self.values_at, field, nodes, name, 1)
             along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
             rates = central_differences(comm, control, along[None], values, name)
@@ -197,7 +200,11 @@ class NodalValues:
     def _of_function(
         self, function: Callable[[Any], Any], nodes: LocalNumbers, name: str, components: int
     ) -> Array:
-        """Return the values (components, n) of a function at the nodes. Not collective."""
+        """Return the values (components, n) of a function at the nodes. Not collective.
+
+        The function may return them in this shape, a vector (components,) for all nodes, or, if it
+        is a scalar, (n,) or a single number.
+        """
         n = len(nodes)
         if n == 0:
             return np.zeros((components, 0))
@@ -226,9 +233,9 @@ class NodalValues:
     def _of_expression(self, expression: Expr, nodes: LocalNumbers, name: str) -> Array:
         """Return the values (n, k) of an expression, k values at each node. Collective.
 
-        These are its components, or one for each basis function of the cell if the expression
-        contains a test function.
+        These are its components, or one for each basis function of a test function.
         """
+        # evaluated at all nodes of a cell that has the node; the other values are dropped
         self._check_mesh(expression, name)
         if expression not in self._compiled:
             # expressions of numbers alone have no mesh
@@ -249,6 +256,7 @@ class NodalValues:
     @cached_property
     def _places(self) -> LocalNumbers:
         """For each node the first cell that has it, and its place in this cell, (2, nodes)."""
+        # of entries that are written several times, numpy keeps the last: in reverse, the first
         cells = self._V.dofmap.list
         first_seen = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
         first_seen[cells.ravel()[::-1]] = np.arange(cells.size, dtype=np.int32)[::-1]

@@ -50,11 +50,10 @@ LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
 
 def sparse_rows(compliance: ContactCompliance) -> csr_array | None:
-    """Return this rank's rows (size, n) of A for many small bodies. Collective.
+    """Return this rank's rows (size, n) of the sparse matrix A, for many small bodies. Collective.
 
     The result is None if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`), with an
-    iterative solver for K, and with a mixed space, for which the method does not work. Each solve
-    counts as a product.
+    iterative solver for K, and in a mixed space, where it does not work. Solves count as products.
 
     K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
     are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
@@ -69,29 +68,33 @@ def sparse_rows(compliance: ContactCompliance) -> csr_array | None:
         return None
     label = label_bodies(jump.system.V)
     bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
-    row, body, forces = _forces_on_bodies(jump, label, bodies)
+    row, body, split_rows = _rows_of_bodies(jump, label, bodies)
+    # column b has the numbers of the multipliers on body b as row indices, ascending
     acts = csr_array((np.ones(len(row)), (row, body)), shape=(len(jump.gap), bodies))
-    members = csc_array(jump.reductions.stacked(acts))  # row indices: the multipliers of each body
+    members = csc_array(jump.reductions.stacked(acts))
     members.sort_indices()
     size, numbers = members.shape[0], np.diff(members.indptr)
-    count = int(numbers.max())
-    if not 0 < count <= min(BODY_SHARE * size, MOST_ON_BODY):
+    solves = int(numbers.max())
+    if not 0 < solves <= min(BODY_SHARE * size, MOST_ON_BODY):
         return None
+    # a multiplier is loaded in the solve of its position on the body, 0 in the first one: such
+    # zeros are stored, and this rank's entries have the order of `split_rows`
     members.data = np.arange(members.nnz) - np.repeat(members.indptr[:-1], numbers)
-    place = csr_array(members)[slice(*jump.matrix.getOwnershipRange())].data
-    B = sparse_matrix(forces, jump.matrix.getSizes()[1], jump.comm)
-    responses = compliance.columns(place, count, B)
-    force, column = np.nonzero(np.arange(count) < numbers[body, None])
-    multiplier = members.indices[members.indptr[body[force]] + column]
-    entries = (responses[force, column], (row[force], multiplier))
+    solve_of_row = csr_array(members)[slice(*jump.matrix.getOwnershipRange())].data
+    B = sparse_matrix(split_rows, jump.matrix.getSizes()[1], jump.comm)
+    responses = compliance.columns(solve_of_row, solves, B)
+    # in each solve, a split row responds to one multiplier of its body; entries of a row of B on
+    # two bodies have the same place in A, where csr_array adds them: the sum of the A_b
+    split_row, solve = np.nonzero(np.arange(solves) < numbers[body, None])
+    multiplier = members.indices[members.indptr[body[split_row]] + solve]
+    entries = (responses[split_row, solve], (row[split_row], multiplier))
     return csr_array(entries, shape=(len(jump.gap), size))
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
     """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
 
-    On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and its factors
-    take a third of the memory.
+    On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and less memory.
     """
     A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
     factors = PETSc.PC().create(MPI.COMM_SELF)
@@ -116,27 +119,25 @@ def _solve(matrix: csr_array, right: Array) -> Array:
     return np.array(x.array)
 
 
-def _forces_on_bodies(
+def _rows_of_bodies(
     jump: JumpOperator, label: Indices, bodies: int
 ) -> tuple[Indices, Indices, csr_array]:
-    """Return the rows of B, split into the rows of the matrices B_b of all bodies. Collective.
-
-    The `label` is the body of each node of this rank.
+    """Return this rank's rows of B, split by the nodes' body `label` into rows of B_b. Collective.
 
     Returns:
-        the local number (m,) of the multiplier of each row of this rank; the body (m,) on which the
-        multiplier acts in this row; and the rows (m, all unknowns). Rows are sorted by multiplier,
-        then by body.
+        of each split row the local number (m,) of its row of B, and its body (m,); and the split
+        rows (m, all unknowns). They are sorted by row of B, then by body.
     """
     V, (pointers, indices, data) = jump.system.V, jump.matrix.getValuesCSR()
     row = np.repeat(np.arange(len(jump.gap)), np.diff(pointers))
     row, indices, data = (entries[data != 0.0] for entries in (row, indices, data))
+    # the body of each entry that is not zero, from the node of its column
     nodes, position = np.unique(indices // V.dofmap.index_map_bs, return_inverse=True)
     owned = label[: V.dofmap.index_map.size_local]
     body = labels_of(V, owned, nodes.astype(np.int64))[position]
-    number, force = np.unique(row * bodies + body, return_inverse=True)
-    shape = (len(number), jump.matrix.getSize()[1])
-    return number // bodies, number % bodies, csr_array((data, (force, indices)), shape=shape)
+    key, split_row = np.unique(row * bodies + body, return_inverse=True)
+    shape = (len(key), jump.matrix.getSize()[1])
+    return key // bodies, key % bodies, csr_array((data, (split_row, indices)), shape=shape)
 
 
 #: Number of layers of cells around the contact whose nodes may move: `LAYERS` with a direct solver
@@ -145,20 +146,21 @@ def _forces_on_bodies(
 #: multigrid 33 and 30 Krylov iterations, which then cost twice as much.)
 LAYERS, LAYERS_BEFORE_COARSE = 2, 1
 
-
 #: Largest number of unknowns of the level, whose factorisation takes a hundredth of a second. (On
 #: two bricks, a solve takes 63 Krylov iterations with 42 unknowns, and 54 with 2,244.)
 MOST_UNKNOWNS = 3000
 
 
 def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None:
-    """Return the factors of P'KP for the largest multigrid level that is small enough.
+    """Return the largest level of multigrid that is small enough, and the factors of its matrix.
 
-    The columns of P are the basis displacements of the level (`MOST_UNKNOWNS`): they move bodies as
-    a whole. The caller owns the result. Collective. The result has the interpolations whose product
-    is P, the finest first. It is None if the preconditioner is not multigrid, if no level is small
-    enough, or if it cannot be factored.
+    The level has at most `MOST_UNKNOWNS` unknowns, and the matrix P'K P. Collective.
+
+    Returns:
+        the interpolations whose product is P, the finest first, and the factors, owned by the
+        caller; None without multigrid or a small level, or if the matrix is singular.
     """
+    # levels from fine to coarse; the coarsest may be solved by a further multigrid
     interpolations: list[PETSc.Mat] = []
     while pc.getType() in (PETSc.PC.Type.GAMG, PETSc.PC.Type.MG):
         for level in range(pc.getMGLevels() - 1, 0, -1):
@@ -189,9 +191,8 @@ class NearField(PetscOwner):
     the local and the coarse space, which are orthogonal in the energy inner product,
     K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and positive semidefinite
     (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for K has no coarse
-    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1.
-
-    Owns PETSc objects: call `destroy()`. The caller keeps B and the solver for K.
+    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1. Owns PETSc objects: call
+    `destroy()`. The caller keeps B and the solver for K.
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
@@ -226,12 +227,14 @@ class NearField(PetscOwner):
 
     def apply(self, x: Array) -> Array:
         """Return D x, (size,). Collective."""
+        # the first local solve
         force = self._jump.contact_force(x)
         self._local_f.array = force.array[self._dofs]
         self._local.solve(self._local_f, self._local_u)
         self._u.set(0.0)
         self._u.array[self._dofs] = self._local_u.array
         if self._coarse is not None:
+            # the coarse solve: the residual f - K u goes down the levels, and the correction up
             interpolations, factors = self._coarse
             residuals, corrections = self._residuals, self._corrections
             self._rows.multTranspose(self._local_u, residuals[0])
@@ -242,6 +245,7 @@ class NearField(PetscOwner):
             for level, P in reversed(list(enumerate(interpolations))):
                 P.mult(corrections[level + 1], corrections[level])
             self._u.axpy(1.0, corrections[0])
+            # the second local solve
             self._rows.mult(self._u, self._local_f)
             self._local_f.array = force.array[self._dofs] - self._local_f.array
             self._local.solve(self._local_f, self._local_u)
@@ -254,6 +258,7 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
     """Return a mask of the owned nodes within some layers of cells from the contact. Collective."""
     V, B = jump.system.V, jump.matrix
     nodes, cells = V.dofmap.index_map, V.dofmap.list
+    # nodes with a nonzero entry in B, on any rank
     touched, (_, columns, values) = B.createVecRight(), B.getValuesCSR()
     touched.setValues(columns, np.abs(values), PETSc.InsertMode.ADD)
     touched.assemble()
@@ -278,13 +283,11 @@ class ContactCompliance(PetscOwner):
     """A = B K^-1 B' of (38.4), and all data that follow from K alone: computed once for each K.
 
     If bodies float, K stands for K_p, which is K with springs that fix these bodies
-    (`floating/rigid_modes.py`). Data that not every solve needs are computed on first access.
-
-    Owns PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
+    (`floating/rigid_modes.py`). Data that not every solve needs are computed on first access. Owns
+    PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
-        springs: the springs that are in the solver's K, but not in the system's K; None if no body
-            floats or is held softly.
+        springs: the springs in the solver's K that the system's K lacks; None: no body needs any.
         exact: whether products are exact to rounding (a direct solver for K).
         products: number of products with A.
     """
@@ -292,18 +295,17 @@ class ContactCompliance(PetscOwner):
     def __init__(
         self, jump: JumpOperator, solver: StiffnessSolver, springs: FixingSprings | None
     ) -> None:
-        """Compute the data that every solve needs. Collective.
+        """Keep the arguments; in a mixed space, prepare `error_bound`. Collective.
 
         Raises:
-            StiffnessError: rows of B are linearly dependent on the rows of incompressibility in K;
-                the solver is destroyed.
+            StiffnessError: rows of B depend on those of incompressibility; the solver is destroyed.
         """
         self.jump, self.solver, self.springs, self.comm = jump, solver, springs, jump.comm
         self.exact, self.products = solver.exact, 0
         self._store: KnownProducts | None = None
-        if jump.system.component is not None:
+        if jump.system.component is not None:  # a mixed space of displacement and pressure
             with destroyed_on_error(solver):
-                _ = self.error_bound  # now, since it raises errors of the scene
+                _ = self.error_bound  # raises the error
 
     def destroy(self) -> None:
         """Free the PETSc objects, and those of the solver. Collective."""
@@ -333,11 +335,11 @@ class ContactCompliance(PetscOwner):
         return self.jump.of_unknowns(u)
 
     def columns(self, place: Indices, count: int, B: PETSc.Mat) -> Array:
-        """Return products (size, count) with unit vectors or sums of unit vectors. Collective.
+        """Return B K^-1 B'E (rows, count), where each row of E has a single 1. Collective.
 
-        Each column counts as a product. Blocks of columns are solved together, which with a direct
-        solver costs far less than single products. The `place` (size,) is the column in which each
-        multiplier is 1. B may be another matrix than that of the jumps in A = B K^-1 B'.
+        The 1 of each of this rank's rows is in the column `place` (rows,). Each column counts as a
+        product. Blocks of columns are solved together, which with a direct solver costs far less
+        than single products. B is that of A, or has its split rows (`sparse_rows`).
         """
         prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
         for start in range(0, count, BLOCK):

@@ -10,7 +10,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dolfinx import fem
 
@@ -23,7 +22,6 @@ from dolfinx_tresca.dual.products import ContactCompliance
 from dolfinx_tresca.dual.slip_bounds import NodalBounds
 from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.floating.equilibrium import Equilibrium, FloatingBodies, Tools
-from dolfinx_tresca.floating.rigid_modes import RigidBodyModes
 from dolfinx_tresca.solvers.constraints import EqualityConstraints
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 
@@ -62,8 +60,7 @@ class DualProgram:
 
     Attributes:
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
-            at which the slip of this solve is zero; less the jumps of the frames of bodies that
-            have turned.
+            at which the slip of this solve is zero; less the jumps of frames of turned bodies.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
         b_error: norm sqrt(e'A^-1 e) of the error e of b.
         admissible: all multipliers that the present laws of friction allow.
@@ -87,7 +84,8 @@ class DualProgram:
         """Make the program for the system's present load, with one solve with K. Collective.
 
         An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
-        residuals and the reported q depend on this b, while gradients do not.
+        residuals and the reported q depend on this b, while gradients do not. The `guess` is
+        updated by every solve. Without `history`, slips count from the undeformed bodies.
 
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
@@ -101,20 +99,7 @@ class DualProgram:
         self.history = SlipHistory.none(jump) if history is None else history
         self.is_load_step = self.history.begun
         self.admissible = jump.bounded(slip_bounds)
-        self.equilibrium: Equilibrium | None = None
-        self.constraints = EqualityConstraints.none(len(jump.gap), jump.reductions)
-        self.of_tools = slice(0)
-        bodies, load = compliance.floating, self._load.array
-        if tools is not None:
-            if bodies is None:
-                modes = RigidBodyModes.none(jump.system.V, tools.bodies)
-                U, stiffness, jumps = (csr_array((n, 0)) for n in (len(load), 0, len(jump.gap)))
-                bodies = FloatingBodies(modes, U, stiffness, jumps)
-            self.of_tools = slice(len(bodies.modes), None)
-            bodies = bodies.with_tools(tools)
-        if bodies is not None:
-            self.equilibrium = bodies.under(load, self.admissible, jump.reductions)
-            self.constraints = self.equilibrium.constraints
+        self._set_equilibrium(tools)
         self.offset = jump.gap + self.history.origin
         if jump.frames is not None:
             self.offset = self.offset - jump.of_displacement(jump.frames.rigid)
@@ -123,12 +108,28 @@ class DualProgram:
         self._compute_b(LOAD_ACCURACY)
         self._check_units()
 
+    def _set_equilibrium(self, tools: Tools | None) -> None:
+        """Set `equilibrium`, `constraints` and `of_tools` for the present load. Collective."""
+        jump, bodies, load = self.jump, self.compliance.floating, self._load.array
+        self.equilibrium: Equilibrium | None = None
+        self.constraints = EqualityConstraints.none(len(jump.gap), jump.reductions)
+        self.of_tools = slice(0)
+        if tools is not None:
+            if bodies is None:
+                dim, sizes = jump.system.V.mesh.geometry.dim, (len(load), len(jump.gap))
+                bodies = FloatingBodies.none(tools.bodies, jump.comm, dim, *sizes)
+            self.of_tools = slice(len(bodies.modes), None)
+            bodies = bodies.with_tools(tools)
+        if bodies is not None:
+            self.equilibrium = bodies.under(load, self.admissible, jump.reductions)
+            self.constraints = self.equilibrium.constraints
+
     def _compute_b(self, rtol: float) -> None:
-        """Compute b from the displacement without contact, to a given accuracy. Collective."""
+        """Compute b from the displacement without contact, and update the guess. Collective."""
         u, guess = self._u, self._guess
         u.array = 0.0 if self._load.norm() == 0.0 else guess.load  # exactly zero without load
         self.b_error = self._solver.improve(self._load, u, rtol=rtol, accuracy=0.0)
-        if guess.newest is not None:
+        if guess.newest is not None:  # the load may have changed: add the change of K^-1 f
             guess.newest = guess.newest + u.array - guess.load
         guess.load = u.array.copy()
         self.b = self.jump.of_unknowns(u) - self.offset
@@ -144,8 +145,8 @@ class DualProgram:
             return
         self._is_refined = True
         self._compute_b(FULL_ACCURACY)
-        # includes rounding, which the iteration does not see
         self._u.array = self._guess.load
+        # includes rounding, which the iteration does not see
         self.b_error = max(self.b_error, self._solver.error(self._load, self._u))
 
     def _check_units(self) -> None:
@@ -161,14 +162,13 @@ class DualProgram:
                 )
 
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
-        """Return r = A x - b, and an estimate of its error. Collective.
+        """Return r = A x - b, and an estimate of its error, sqrt(e'A^-1 e). Collective.
 
-        A direct solver takes one product, unless x is zero. An iterative solver for K starts from a
-        known displacement near x and solves to the requested accuracy only. Such a solve counts as
-        a product, unless the known displacement is already accurate enough. The error includes the
-        rounding of r: products are differences of gradients, and if steps are small compared with
-        the gaps, these differences may be pure rounding. The returned error exceeds `accuracy` if
-        the solver does not reach it.
+        A direct solver takes one product, unless x is zero; its error counts as 0. An iterative
+        solver for K starts from the displacement at the last multipliers, and solves to the
+        requested `accuracy` only; if it does not reach it, the returned error is larger. A solve
+        counts as a product if it takes any Krylov iteration. The error includes the rounding of r:
+        products are differences of gradients, which may be pure rounding for small steps.
         """
         if self._solver.exact:
             presses = float(self.inner(x, x)) > 0.0
@@ -178,13 +178,14 @@ class DualProgram:
         self.compliance.products += self._solver.krylov_iterations > before
         self._guess.newest = self._u.array.copy()
         r = self.gradient_of(self._u)
+        # rounding e of r, whose terms are the offset and B u = offset - r; e'A^-1 e is estimated
+        # from above, since no node is stiffer than with fixed neighbours
         terms = np.abs(self.offset) + np.abs(self.offset - r)
-        # e'A^-1 e is estimated from above: no node is stiffer than with fixed neighbours
         square = float(self.inner(terms, self.compliance.nodal_stiffness * terms))
         return r, float(np.hypot(error, 0.5 * np.finfo(float).eps * np.sqrt(square)))
 
     def _solve_from_guess(self, x: Array, u: PETSc.Vec, rtol: float, accuracy: float) -> float:
-        """Set u to K^-1 (f - B'x), solved from the first guess; return its error. Collective."""
+        """Set u to K^-1 (f - B'x), solved from `_guessed`; return its error. Collective."""
         u.array = self._guessed(x)
         return self._solver.improve(self.jump.net_force(x), u, rtol=rtol, accuracy=accuracy)
 
@@ -200,15 +201,14 @@ class DualProgram:
         return self.offset - self.jump.of_unknowns(u)
 
     def compute_displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
-        """Solve K u = f - B'x, unless u is known accurately enough; return its error. Collective.
+        """Set u to K^-1 (f - B'x), unless it is known accurately enough; return its error.
 
-        The next solve starts from the result. A displacement with which the convergence of the
-        multipliers was checked is returned unchanged, since a more accurate displacement may have a
-        larger error bound. The bounds of two displacements may differ by more than the energy norm
-        of the displacements' difference: for a bound, gaps are closed by moving contact nodes
-        alone, and this takes much energy if the difference is smooth and cells are flat. The error
-        of u in the energy norm is at most `accuracy`, without effect on a direct solver; with None,
-        the options of the solver determine it.
+        Collective. The error of u in the energy norm is at most `accuracy`, without effect on a
+        direct solver; with None, the options of the solver determine it. The next solve starts from
+        the result. The displacement of the last gradient is returned unchanged if it is accurate
+        enough: the convergence was checked with it, and a more accurate displacement may have a
+        larger bound of its error. (For a bound, gaps are closed by moving contact nodes alone,
+        which takes much energy if the difference of displacements is smooth and cells are flat.)
         """
         solved = self._solved
         if solved is not None and float(self.inner(x - solved[0], x - solved[0])) == 0.0:
@@ -224,11 +224,10 @@ class DualProgram:
         return self._solver.error(self.jump.net_force(x), u)
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for the displacement u at x; 0 if less than its error.
+        """Return |u|_K = sqrt(a(u, u)) for u = K^-1 (f - B'x); 0 if less than its `error`.
 
-        The gradient r is A x - b, without G c. Rigid displacements of bodies on soft springs are
-        left out. The first call may need a solve with K, if forces act and displacements are
-        prescribed. Collective.
+        The gradient r is A x - b, without G c, and u is without the rigid displacements of bodies
+        on soft springs. The first call may need a solve with K (`_load_terms`). Collective.
         """
         energy, jump_of_forces = self._load_terms
         # u = K^-1 f - K^-1 B'x: |u|^2 = f'K^-1 f - 2 x'B K^-1 f + x'A x, where A x = r + b; in the
@@ -252,7 +251,8 @@ class DualProgram:
     def _load_terms(self) -> tuple[float, Array]:
         """a(u, u) without contact, and the jump (size,) due to forces alone. Collective.
 
-        The first access takes a solve if forces act and displacements are prescribed.
+        The first access takes a solve if forces act and displacements are prescribed. The energy
+        is that of K with the springs that fix bodies.
         """
         system, springs, u = self.jump.system, self.compliance.springs, self._u
         u.array = self._guess.load
@@ -274,18 +274,14 @@ class DualProgram:
         return self.admissible.at_point(x, r).section(x)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
-        """Return a bound of |u - u*|_K for the displacement u at x in Lambda. Collective.
-
-        Here u* is the exact solution of the discrete problem.
-        """
+        """Return a bound of |u - u*|_K for u at x in Lambda; u* is the solution. Collective."""
         return self.compliance.error_bound.energy_bound(self.section_at(x, r), x, r, error)
 
     def local_minimiser(self, x: Array, r: Array) -> Array:
-        """Return x - `nodal_stiffness` r, (size,): each node's minimiser with fixed neighbours.
+        """Return x - `nodal_stiffness` r (size,), the minimiser of q node by node. Not collective.
 
         The projection of these multipliers onto Lambda is the state that each node would take if
-        the displacements of its neighbours were fixed: pressed or open, sticking or slipping. Not
-        collective.
+        the displacements of its neighbours were fixed: pressed or open, sticking or slipping.
         """
         return x - self.compliance.nodal_stiffness * r
 
@@ -316,13 +312,12 @@ class DualProgram:
         """Add the rigid displacements of floating bodies to u. Collective.
 
         Before the call, u is K^-1 (f - B'x). The result is the gradient including the term -G c of
-        the constraints, and the energy norm of the rigid displacements that are still missing for
-        equilibrium.
+        the constraints, and the energy norm of the rigid displacements that are still missing.
         """
         r = self.gradient_of(u)
         if self.equilibrium is None:
             return r, 0.0
-        return r - self.constraints.columns @ c, self.equilibrium.move(x, u, c)
+        return r - self.constraints.columns @ c, self.equilibrium.add_rigid_displacements(x, u, c)
 
     def jump_of_tools(self, c: Array) -> Array:
         """Return G c (size,) for the motions of tools alone."""
@@ -331,9 +326,8 @@ class DualProgram:
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        A direct solver needs one solve with K, an iterative solver needs no solve, since its
-        displacement is known. The estimate is zero without displacement, and infinite if the error
-        cannot be estimated from the form.
+        A direct solver needs one solve with K; the displacement of an iterative one is known. The
+        estimate is zero without displacement, and infinite without a form to estimate from.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf
@@ -355,9 +349,9 @@ class DualProgram:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
 
         J(u) = 1/2 u'K u - f'u + sum g |T u - s|, with the sum over finite g, and
-        D(x) = 1/2 u'K u - f'u - x'r with the gradient r = (d; s) - B u. A bound for the error of u
-        is subtracted from D. All sums are over the degrees of freedom that are not prescribed. The
-        work of the forces on tools is part of f'u, and their motions are part of B u.
+        D(x) = 1/2 u'K u - f'u - x'r - error^2 / 2, with the gradient r = (d; s) - B u and the
+        `error` of u in the energy norm. Rows of prescribed degrees of freedom are left out of u'K u
+        and f'u. Forces on tools are part of f, and their motions of B u.
         """
         system = self.jump.system
         force = system.K.createVecLeft()
@@ -373,7 +367,7 @@ class DualProgram:
 
 
 def relative_change(change: float, value: float, rounding: float = 0.0) -> float:
-    """Return change / value, 0 for a change that is rounding, or 1 for a change of zero."""
+    """Return change / value; 0 if the change is rounding, and 1 if only the value is zero."""
     if change <= rounding:
         return 0.0
     return change / value if value > 0.0 else 1.0

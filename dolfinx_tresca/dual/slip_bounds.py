@@ -28,8 +28,7 @@ class NodalBounds:
         limit: (n,) l [stress], the upper limit of the part F p; infinite without a limit.
         shape: (n, 2) semi-axes of the friction ellipses along the first axis and across it,
             relative to the longer one, which is these bounds; 1 for circles.
-        direction: (n, 3) vectors of any length, whose tangential parts are the first axes; None:
-            all ellipses are circles.
+        direction: (n, 3) vectors whose tangential parts are the first axes; None: all are circles.
         curve: F as a function of pressure and slip; None: F is the coefficient.
     """
 
@@ -41,63 +40,70 @@ class NodalBounds:
     curve: Curve | None = None
 
 
-def with_tangents_along_axes(V: Any, pair: PairOperators, bounds: NodalBounds) -> PairOperators:
+def with_tangents_along_axes(
+    V: Any, operators: PairOperators, bounds: NodalBounds
+) -> PairOperators:
     """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
     Along its axes an ellipse can be scaled to a disc (`friction_discs`). A node with a single
     tangential direction keeps this direction, and its slip bound is the semi-diameter of the
     ellipse along this direction. A node whose ellipse is a circle keeps its tangents. If neither
-    tangents nor semi-axes change on this rank, up to rounding, the result is `pair` itself.
+    tangents nor semi-axes change on this rank, up to rounding, the result is `operators` itself.
     """
     if bounds.direction is None:
-        return pair
+        return operators
     shape = np.where(bounds.shape > ROUNDING, bounds.shape, 0.0)
     circular = shape[:, 0] == shape[:, 1]
-    axes = _axes(V, pair, np.where(circular[:, None], 0.0, bounds.direction), circular)
-    node = pair.tangent_node
-    # the two rows of each node with two tangents and an ellipse
+    axes = _axes(V, operators, np.where(circular[:, None], 0.0, bounds.direction), circular)
+    node = operators.tangent_node
+    # the two rows of each node with two tangents and an ellipse: rows of a node are adjacent
     second = np.flatnonzero(node[1:] == node[:-1]) + 1
     second = second[~circular[node[second]]]
     rows = np.stack([second - 1, second], axis=1)
-    tangents = pair.tangents.copy()
+    tangents = operators.tangents.copy()
     tangents[rows] = axes[node[second]]
+    # of each row the semi-diameter along its tangent, from the tangent's components along the axes
     semi_axes = _semi_diameters(np.einsum("rai,ri->ra", axes[node], tangents), shape[node])
     change = max(
-        np.abs(tangents - pair.tangents).max(initial=0.0),
-        np.abs(semi_axes - pair.semi_axes).max(initial=0.0),
+        np.abs(tangents - operators.tangents).max(initial=0.0),
+        np.abs(semi_axes - operators.semi_axes).max(initial=0.0),
     )
     if change <= ROUNDING:  # the vectors and semi-axes are of order 1
-        return pair
-    return replace(pair, tangents=tangents, semi_axes=semi_axes)
+        return operators
+    return replace(operators, tangents=tangents, semi_axes=semi_axes)
 
 
-def _axes(V: Any, pair: PairOperators, direction: Array, circular: Mask) -> Array:
-    """Return the axes (n, 2, 3) of the ellipse of each node; zero for circles. Collective."""
-    axis = direction - dots(direction, pair.normals)[:, None] * pair.normals
+def _axes(V: Any, operators: PairOperators, direction: Array, circular: Mask) -> Array:
+    """Return the axes (n, 2, 3) of the ellipse of each node; zero for circles. Collective.
+
+    The first axis is the tangential part of the direction (n, 3). Where it is zero at a node with
+    an ellipse and tangents, an error is raised.
+    """
+    axis = direction - dots(direction, operators.normals)[:, None] * operators.normals
     length, whole = np.linalg.norm(axis, axis=1), np.linalg.norm(direction, axis=1)
     has_tangents = np.zeros(len(length), dtype=np.bool_)
-    has_tangents[pair.tangent_node] = True
+    has_tangents[operators.tangent_node] = True
     with errors_on_all_ranks(V.mesh.comm):
         # a direction counts as normal if the sine of its angle to the normal is at most 1e-6
         bad = np.flatnonzero(has_tangents & ~circular & ~(length > 1e-6 * whole))
         if len(bad):
-            worst, node = direction[bad[0]], pair.nodes[bad[0]]
+            worst, node = direction[bad[0]], operators.nodes[bad[0]]
             fault = "is normal to the surface" if worst.any() else "is zero"
             fault = fault if np.isfinite(worst).all() else "is not finite"
             raise InputError(
                 f"the direction of the slip bound {fault}: found {_vector_text(worst)} at "
                 f"{_vector_text(V.tabulate_dof_coordinates()[node])}, with the normal "
-                f"{_vector_text(pair.normals[bad[0]])}, and so at {len(bad)} of the "
-                f"{len(pair.nodes)} contact nodes of rank {V.mesh.comm.rank}. Give a direction "
-                "that varies, or two equal bounds where it has no meaning."
+                f"{_vector_text(operators.normals[bad[0]])}, and so at {len(bad)} of the "
+                f"{len(operators.nodes)} contact nodes of rank {V.mesh.comm.rank}. Give a "
+                "direction that varies, or two equal bounds where it has no meaning."
             )
     length[length == 0.0] = 1.0
     axis /= length[:, None]
-    return np.stack([axis, cross(pair.normals, axis)], axis=1)
+    return np.stack([axis, cross(operators.normals, axis)], axis=1)
 
 
 def _vector_text(vector: Array) -> str:
-    """Return the text of a vector; components that are rounding are shown as zero."""
+    """Return a vector as text; components that are rounding are shown as zero."""
     rounding = np.abs(vector) <= ROUNDING * np.abs(vector).max()
     return f"({', '.join(f'{component:.4g}' for component in np.where(rounding, 0.0, vector))})"
 
@@ -105,9 +111,9 @@ def _vector_text(vector: Array) -> str:
 def _semi_diameters(direction: Array, shape: Array) -> Array:
     """Return the semi-diameters 1 / |(d_1 / b_1, d_2 / b_2)| (n,) of ellipses in directions d.
 
-    The d (n, 2) are components of unit vectors along the axes; the shape (n, 2) has the semi-axes
-    b, relative to the longer one.
+    The d (n, 2) are components of unit vectors along the axes, and `shape` (n, 2) has the b.
     """
+    # a component d_i that is zero counts as zero where b_i is zero, too; any other one as infinite
     nonzero = np.abs(direction) > ROUNDING
     scaled = np.zeros_like(shape)
     np.divide(direction, shape, out=scaled, where=nonzero & (shape > 0.0))
@@ -119,20 +125,21 @@ def _semi_diameters(direction: Array, shape: Array) -> Array:
 
 
 def friction_discs(node: LocalNumbers, semi_axes: Array, count: int) -> tuple[Array, Array, Mask]:
-    """Scale tangential unknowns such that each node's ellipse is a disc (docs/theory/coulomb.md).
+    """Return the factors that make each node's friction ellipse a disc (docs/theory/coulomb.md).
 
     The projection onto a disc is explicit, but the projection onto an ellipse is not. For
     components t_i of the traction along semi-axes b_1 and b_2 the unknowns are t_i / stretch_i with
     stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius sqrt(b_1 b_2).
     If one semi-axis is zero, the disc of the node is an interval, from minus to plus the other
-    semi-axis. Not collective. Each tangential row has its node in `node`, one of `count` nodes, and
-    `PairOperators.semi_axes`.
+    semi-axis. Each tangential row has its node in `node` (n_tangential,), one of `count` nodes, and
+    its semi-axis in `semi_axes` (n_tangential,). Not collective.
 
     Returns:
-        the stretch (n_tangential,), the ratio of traction to unknown [1]; the radius (n,) of the
-        disc, relative to the longer semi-axis [1], which is 1 at nodes without rows; and whether a
-        row (n_tangential,) has a zero bound, while the other row of its node has a positive bound.
+        the stretch (n_tangential,), the ratio of traction to unknown [1]; the radius (count,) of
+        the disc, relative to the longer semi-axis [1], which is 1 at nodes without rows; and
+        whether a row (n_tangential,) has a zero bound, while the other row of its node has not.
     """
+    # sums over the positive semi-axes of each node: their number, and their logarithms
     positive = semi_axes > 0.0
     positive_axes = np.bincount(node[positive], minlength=count)
     logarithms = np.bincount(node[positive], np.log(semi_axes[positive]), minlength=count)
@@ -155,7 +162,7 @@ DIRECTION = "the direction of the slip bound"
 
 
 def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]]]:
-    """Return for each term of a law's bound its one or two scalars, with names for messages."""
+    """Return the scalars of each term of a bound, two for ellipses, with names for messages."""
     result = {}
     for term, words in TERMS.items():
         name = friction.constant_name if term == "constant" else words
@@ -175,8 +182,7 @@ class SlipBounds:
     def check(self, friction: Friction, nodes: LocalNumbers, stress_rounding: float) -> None:
         """Check that bounds can be evaluated at nodes of this rank. Collective.
 
-        Only bounds that are plain numbers must have values that are allowed: others may change
-        before a solve.
+        Values are checked only of bounds that are plain numbers: others may change before a solve.
 
         Raises:
             InputError: the bound or the direction is on another mesh; a function returns neither a
@@ -190,8 +196,8 @@ class SlipBounds:
                 else:
                     self._bound(field, nodes, words, stress_rounding)
         if friction.terms.curve is not None:
-            nowhere = np.zeros(len(nodes))
-            self.check_curve(friction.terms.curve, nowhere, nowhere)
+            zero = np.zeros(len(nodes))  # pressures and slips
+            self.check_curve(friction.terms.curve, zero, zero)
         if friction.terms.direction is not None:
             if self._dim == 2:
                 raise InputError(
@@ -203,15 +209,14 @@ class SlipBounds:
     def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
     ) -> NodalBounds:
-        """Return the present bound at nodes of this rank; 0 without friction. Collective.
+        """Return the present bounds at nodes of this rank; 0 without friction. Collective.
 
-        Negative values down to -`stress_rounding` [stress] also count as zero, even if they exceed
-        `COEFFICIENT_ROUNDING` times the largest finite bound of the pair.
+        A negative value counts as zero if it is rounding: at most `COEFFICIENT_ROUNDING` times the
+        largest finite bound of the pair, or, of a stress, at most `stress_rounding` [stress].
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is
-                infinite; only one of the two values of a bound is infinite; or `check` raises this
-                error.
+                infinite; only one of the two values of a bound is infinite; or `check` raises it.
         """
         terms = friction.terms
         bounds: dict[str, Array] = {}
@@ -248,7 +253,10 @@ class SlipBounds:
                 )
 
     def _shape(self, semi_axes: Array, name: str) -> Array:
-        """Return semi-axes (n, 2), divided by the longer semi-axis of each node. Collective."""
+        """Return semi-axes (n, 2) divided by the longer one of each node, or 1. Collective.
+
+        The shape is 1 if both semi-axes are infinite, or zero. A single infinite one is an error.
+        """
         infinite = np.isinf(semi_axes)
         with errors_on_all_ranks(self._comm):
             if (infinite[:, 0] != infinite[:, 1]).any():
@@ -263,7 +271,11 @@ class SlipBounds:
         return shape
 
     def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
-        """Return values at nodes of this rank; negative rounding errors become zero. Collective."""
+        """Return values (n,) at nodes of this rank, checked as bounds. Collective.
+
+        Negative values are an error, unless they are above -`rounding`, or rounding of the largest
+        value: then they become zero.
+        """
         values = self.values.values_at(field, nodes, name)[:, 0]
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)

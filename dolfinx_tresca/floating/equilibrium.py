@@ -93,7 +93,8 @@ class Tools:
     ) -> Tools:
         """Compute G. Not collective.
 
-        The arguments `by_pair` and `stress_scale` are those of `JumpOperator`.
+        The arguments `by_pair` and `stress_scale` are those of `JumpOperator`. The primary side
+        moves: each row of G is minus the motion, along the row's normal or tangent at its node.
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
@@ -108,18 +109,10 @@ class Tools:
                 column[rows.tangential] -= dots(weighted[j], nodes.tangents)
         return cls(motions, bodies, csr_array(stress_scale[:, None] * G))
 
-    def names(self, components: Array) -> str:
-        """Return the tools, and their motions, in a joint motion with components (k, ...)."""
-        amounts = np.linalg.norm(components.reshape(len(self.motions), -1), axis=1)
-        moving: dict[str, list[str]] = {}
-        for k in np.flatnonzero(amounts > NAMED_PART * amounts.max()):
-            moving.setdefault(self.motions[k].tool, []).append(self.motions[k].name)
-        return "; ".join(f"{tool}: {', '.join(names)}" for tool, names in moving.items())
-
     def places(self, c: Array, before: Array) -> Array:
-        """Return the motions (pairs, 3, 4) of the tools of all pairs, as `RigidMotion.matrix`.
+        """Return the places (pairs, 3, 4) of the tools of all pairs, as `RigidMotion.matrix`.
 
-        The motions c (k,) of a solve follow those `before`, (pairs, 3, 4).
+        The amounts c (k,) of the free motions in a solve move the tools from the places `before`.
         """
         result, steps = before.copy(), np.zeros((len(before), 6))  # as `FreeMotion.direction`
         for motion, amount in zip(self.motions, c, strict=True):
@@ -141,8 +134,7 @@ class Equilibrium:
 
         G'lambda + S c = e,    G = B U,  e = U'f:
 
-    that is, contact forces and the soft springs of the scene, with their stiffness S, balance the
-    loads.
+    that is, contact forces and soft springs of the scene, with the stiffness S, balance loads.
 
     Attributes:
         factors: (k,) factors by which the columns of U are multiplied, such that a column of G has
@@ -153,22 +145,21 @@ class Equilibrium:
     bodies: FloatingBodies
     factors: Array
 
-    def move(self, x: Array, u: PETSc.Vec, c: Array) -> float:
-        """Add the displacements U c to u. Collective.
+    def add_rigid_displacements(self, x: Array, u: PETSc.Vec, c: Array) -> float:
+        """Add the displacements U (factors * c) to u = K_p^-1 (f - B'x). Collective.
 
-        Before the call, u is K_p^-1 (f - B'x). The result is the energy norm of the rigid
-        displacements that are then still missing for equilibrium.
+        The result is the energy norm of the rigid displacements that equilibrium still lacks.
         """
         u.array += self.bodies.displacements @ (self.factors * c)
         return self.constraints.soft_violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return the resultants U'f (k,), and the largest sum of their terms. Collective."""
+        """Return factors * U'f (k,), and the largest sum of the terms of an entry. Collective."""
         result, terms = (self.factors * values for values in self.bodies.resultants(f.array))
         return result, float(terms.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
-        """Return a text with the sliding body, and the ratio of load and friction. Collective."""
+        """Return a text on the body that slides and its load, for a message. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         return (
             f"Nothing holds {self.bodies.describe(self.factors * deficit.motion)}. The loads "
@@ -186,42 +177,59 @@ class FloatingBodies:
     motions of tools follow the modes of bodies, with U = 0.
 
     Attributes:
-        displacements: U (owned degrees of freedom, k), sparse, which forces of the springs that fix
-            the bodies alone cause.
+        displacements: U (owned degrees of freedom, k), sparse, caused by the fixing springs.
         stiffness: (k, k) stiffness of K against U, sparse.
-        jumps: (size, k) B U, sparse.
+        jumps: (size, k) B U, sparse; for the motions of tools the columns of `Tools.jumps`.
+        tool_motions: the motions of tools.
     """
 
     modes: RigidBodyModes
     displacements: csr_array
     stiffness: csr_array
     jumps: csr_array
-    tools: Tools | None = None
+    tool_motions: Sequence[FreeMotion] = ()
+
+    @classmethod
+    def none(cls, bodies: Bodies, comm: Any, dim: int, unknowns: int, size: int) -> FloatingBodies:
+        """Return no floating bodies, for displacements (unknowns,) and jumps (size,)."""
+        none, components = np.empty(0), bodies.rigid_modes(dim).T[:, :0]
+        body, floats = none.astype(np.intp), none.astype(np.bool_)
+        modes = RigidBodyModes(comm, bodies, csr_array((0, 0)), none, floats, body, components)
+        return cls(modes, *(csr_array((rows, 0)) for rows in (unknowns, 0, size)))
 
     def with_tools(self, tools: Tools) -> FloatingBodies:
         """Return the bodies and tools. Not collective."""
-        U, stiffness, k = self.displacements.copy(), self.stiffness.copy(), len(tools.motions)
-        U.resize(U.shape[0], U.shape[1] + k)
+        U, stiffness, motions = self.displacements.copy(), self.stiffness.copy(), tools.motions
+        U.resize(U.shape[0], U.shape[1] + len(motions))
         stiffness.resize(U.shape[1], U.shape[1])
         jumps = hstack([self.jumps, tools.jumps], format="csr")
-        return replace(self, displacements=U, stiffness=stiffness, jumps=jumps, tools=tools)
+        return FloatingBodies(self.modes, U, stiffness, jumps, motions)
 
     def describe(self, components: Array) -> str:
-        """Return in words the tools, or else the body, that move in motions. Collective."""
-        if self.tools is None:
+        """Return the names of the tools that move, and of their motions, for a message. Collective.
+
+        If no tool moves, `RigidBodyModes.describe` answers. Components are (k,) or (k, columns).
+        """
+        if not self.tool_motions:
             return self.modes.describe(components)
-        k = len(self.modes)
-        if not self.modes.comm.bcast(bool(components[k:].any())):
-            return self.modes.describe(components[:k])
-        return str(self.modes.comm.bcast(self.tools.names(components[k:])))
+        of_bodies, of_tools = np.split(components, [-len(self.tool_motions)])
+        if not self.modes.comm.bcast(bool(of_tools.any())):
+            return self.modes.describe(of_bodies)
+        amounts = np.linalg.norm(of_tools.reshape(len(of_tools), -1), axis=1)
+        moving: dict[str, list[str]] = {}
+        for motion, amount in zip(self.tool_motions, amounts, strict=True):
+            if amount > NAMED_PART * amounts.max():
+                moving.setdefault(motion.tool, []).append(motion.name)
+        text = "; ".join(f"{tool}: {', '.join(names)}" for tool, names in moving.items())
+        return str(self.modes.comm.bcast(text))
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
         """Return the resultants U'f (k,) of this rank's loads f, and term sums (k,). Collective.
 
         A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
-        node, which does not depend on the axes. A resultant that is rounding relative to its term
-        sum is set to zero.
+        node, which does not depend on the axes. A resultant below its rounding is set to zero.
         """
+        # `add_components` (nodes, degrees of freedom) adds up the components at each node
         U, dim = self.displacements, self.modes.dim
         add_components = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
         lengths, forces = (add_components @ U.power(2)).sqrt(), np.sqrt(add_components @ f**2)
@@ -238,7 +246,8 @@ class FloatingBodies:
                 the message names the body and its motion, and the error's `motion` has the
                 displacements (owned degrees of freedom,) of all bodies.
         """
-        bodies, tools = self._body_of_motion, self.tools
+        bodies, tool_motions = self._body_of_motion, self.tool_motions
+        # lengths of the jumps that contact resists: rows of multipliers that Lambda lets act
         carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
         carrying = scaled_rows(self.jumps, carries.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
@@ -247,14 +256,13 @@ class FloatingBodies:
         largest = _largest_of_group(length, bodies)
         length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
         self._check_resisted(gram, length, largest, reductions)
-        # modes without jumps are scaled by the stiffness of the springs that hold them, which
-        # together with an unstable K may be negative
+        # modes without jumps are scaled by their stiffness, which may be negative if K is unstable
         resisted, k = self.stiffness.diagonal(), len(length)
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
         resultants, terms = self.resultants(load)
-        if tools is not None:
-            given = np.array([motion.force for motion in tools.motions])
+        if tool_motions:
+            given = np.array([motion.force for motion in tool_motions])
             resultants[-len(given) :] = given
             terms[-len(given) :] = np.abs(given)
         own_terms = np.where(length > 0.0, factors * terms, 0.0)
@@ -272,22 +280,23 @@ class FloatingBodies:
 
     @property
     def _body_of_motion(self) -> Indices:
-        """The body of each mode; each tool counts as a further body."""
-        if self.tools is None:
+        """The body (k,) of each motion; each tool has the number of a further body."""
+        if not self.tool_motions:
             return self.modes.body
-        owners = [self.modes.bodies.count + motion.pairs[0] for motion in self.tools.motions]
+        owners = [self.modes.bodies.count + motion.pairs[0] for motion in self.tool_motions]
         return np.append(self.modes.body, owners)
 
     def _check_resisted(
         self, gram: csr_array, length: Array, largest: Array, reductions: Reductions
     ) -> None:
-        """Check that contact resists all motions that K does not resist at all. Collective.
+        """Raise an error if contact resists some motion of floating bodies too little. Collective.
 
-        The `gram` (k, k) has the inner products of the jumps that contact resists; their lengths
-        (k,) are zero if they are small compared with `largest` (k,), the largest length of the
-        mode's body, by which such modes are divided.
+        The `gram` (k, k) has the inner products of the jumps that contact resists. Jumps are scaled
+        to length 1 by their `length` (k,), where this is zero by `largest` (k,), the largest length
+        of the body, and not at all if no jump of the body has a length.
         """
-        floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)  # set to 0 where it is rounding
+        # floating bodies: `FixingSprings.response` sets their stiffness to exactly 0
+        floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
         lengths = np.where(length > 0.0, length, largest)[floats]
         scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
         scaled = diags_array(scale) @ gram[floats][:, floats] @ diags_array(scale)
@@ -295,7 +304,7 @@ class FloatingBodies:
         if motions.size:
             components = np.zeros((len(length), motions.shape[1]))
             components[floats] = scale[:, None] * motions
-            most = np.square(components).sum(axis=0).argmax()
+            most = np.square(components).sum(axis=0).argmax()  # the largest motion
             motion = reductions.from_first_rank(components[:, most])
             nor = f"; nor {further_bodies} more" * (further_bodies > 0)
             raise MechanismError(
@@ -303,14 +312,17 @@ class FloatingBodies:
                 "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
                 "add a soft spring to a, or give the contact friction."
                 + " Leave this motion of a tool out of free=."
-                * (self.tools is not None),
+                * bool(self.tool_motions),
                 self.displacements @ motion,
             )
 
     def _balanced(
         self, constraints: EqualityConstraints, factors: Array, feasible_set: FeasibleSet
     ) -> EqualityConstraints:
-        """Return the equations, without rounding that contact cannot balance. Collective."""
+        """Return the equations if contact forces can satisfy them, and else raise. Collective.
+
+        If they can up to rounding, `values` are changed such that they can exactly.
+        """
         balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
         if balanced.satisfied:
             return constraints
@@ -331,20 +343,20 @@ class FloatingBodies:
 def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     """Return motions that contact does not resist, of one body or of a group of bodies.
 
-    Single bodies that move while all others rest are looked for first, then bodies that move
-    together. The limit for joint motions of n bodies is smaller, since the resistance falls with n:
-    the least eigenvalue of a stack of n bodies is about 1 / n^4. The `gram` (m, m) has the products
-    of the modes' jumps, with 1 on the diagonal.
+    They are eigenvectors of `gram` (m, m), the inner products of the modes' jumps with 1 on the
+    diagonal, whose eigenvalues are at most a limit. Single bodies that move while all others rest
+    are looked for first, then bodies that move together. The limit for joint motions of n bodies is
+    smaller, since the resistance falls with n: the least eigenvalue of a stack is about 1 / n^4.
 
     Returns:
-        the components (m, count) of the motions in the modes, empty if there is no such motion;
+        the components (m, count) of the motions in the modes, empty if contact resists all motions;
         and the number of other bodies that contact does not hold either.
     """
     m, entries = len(body), gram.tocoo()
     within = body[entries.row] == body[entries.col]  # all other bodies at rest
     own = csr_array((entries.data[within], (entries.row[within], entries.col[within])), gram.shape)
     together = UNRESISTED_SQUARE / max(len(np.unique(body)), 1) ** 4
-    # eigenvalues of up to 1e-13 are rounding, since the jumps are scaled to length 1
+    # first single bodies, then all; eigenvalues of up to 1e-13 are rounding of jumps of length 1
     for matrix, least in ((own, UNRESISTED_SQUARE), (gram, max(together, 1e-13))):
         if m == 0 or is_positive_definite(matrix - least * eye_array(m)):
             continue
@@ -355,7 +367,7 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
         motions = dense(vectors[:, values <= least])
         moving = _moving(motions, body)
         if len(moving):
-            # projections of a body's modes onto these motions move no body that moves by itself
+            # the first moving body's modes, projected onto the motions, move what depends on it
             group = motions @ motions[body == moving[0]].T
             return group, len(np.setdiff1d(moving, _moving(group, body)))
     return np.empty((m, 0)), 0

@@ -41,8 +41,7 @@ class HeldStiffness:
         """Assemble K, find the rigid modes that it resists weakly, and factor it. Collective.
 
         The caller owns the solver. With a mixed space, the modes are found in the first call only:
-        later, pressures make the block of displacements indefinite even for stable bodies, and
-        signs of pivots tell whether they are held.
+        later, pressures may make that block of K indefinite, and pivots tell if bodies are held.
         """
         linear, request = self._linear, self._request
         with timed("stiffness", timings):
@@ -58,6 +57,7 @@ class HeldStiffness:
             return multigrid(K, linear.V, linear.prescribed, *given), springs
 
     def __str__(self) -> str:
+        """Return the number of bodies, and of those that contact alone or soft springs hold."""
         text, modes = f"{self.bodies.count}", self._modes
         if modes:
             floating = np.unique(modes.body[modes.floats])
@@ -67,7 +67,12 @@ class HeldStiffness:
         return text
 
     def check_suits(self, options: SolverOptions) -> None:
-        """Check that options suit the bodies and the form. Not collective."""
+        """Check that options suit the bodies and the form. Not collective.
+
+        Raises:
+            InputError: the default accuracy without a form of the displacement, by which the error
+                of the mesh is estimated; or a method of the paper for bodies that contact holds.
+        """
         linear = self._linear
         if options.balanced and not linear.form_of_displacement:
             reason = "a is none" if linear.form is None else "a is on a mixed space"

@@ -31,10 +31,8 @@ class RigidBodyModes:
 
     Attributes:
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
-        stiffness: (k,) approximate stiffness against deformation of the body that the mode moves,
-            for a displacement vector of length 1.
-        floats: (k,) True: K does not resist the mode at all; False: K resists it a little, by soft
-            springs.
+        stiffness: (k,) approximate stiffness of the mode's body against deformations of length 1.
+        floats: (k,) True: K does not resist the mode at all; False: soft springs resist it.
         body: (k,) the body of each mode, ascending.
         mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`,
             sparse. Lever arms of rotations are divided by the body's size.
@@ -48,13 +46,6 @@ class RigidBodyModes:
     body: Indices
     mode_components: csr_array
 
-    @classmethod
-    def none(cls, V: Any, bodies: Bodies) -> RigidBodyModes:
-        """Return no modes: K holds the bodies. Not collective."""
-        components, none = bodies.rigid_modes(V.mesh.geometry.dim).T[:, :0], np.empty(0)
-        body, floats = none.astype(np.intp), none.astype(np.bool_)
-        return cls(V.mesh.comm, bodies, csr_array((0, 0)), none, floats, body, components)
-
     def __len__(self) -> int:
         return len(self.floats)
 
@@ -64,19 +55,19 @@ class RigidBodyModes:
         return 3 if self.mode_components.shape[0] == 6 * self.bodies.count else 2
 
     def describe(self, components: Array) -> str:
-        """Return in words a body that moves, its motion, and the bodies that also move. Collective.
+        """Return a text on a body that moves, its motion, and further bodies that move. Collective.
 
         The body is the first of those that move most. Bodies count as moving if they move by more
-        than `NAMED_PART` of the largest motion. The components are (k,), or (k, columns) for
-        several motions.
+        than `NAMED_PART` of the largest motion. Components are (k,) or (k, columns).
         """
-        motions = self.mode_components @ components.reshape(len(self), -1)
         # (bodies, 3 or 6, columns): translations and rotations of each body
+        motions = self.mode_components @ components.reshape(len(self), -1)
         motions = motions.reshape(self.bodies.count, -1, motions.shape[1])
         lengths = np.linalg.norm(motions, axis=(1, 2))
         moving = np.flatnonzero(lengths > NAMED_PART * lengths.max())
         # with half the fraction, a body may be described that turns little while another one falls
         chosen = int(np.argmax(lengths > 0.9 * lengths.max()))
+        # the share of a translation or rotation is its squared part in the span of the motions
         axes, extents, _ = np.linalg.svd(motions[chosen], full_matrices=False)
         shares = np.square(axes[:, extents > 1e-3 * extents[0]]).sum(axis=1)
         turns = ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
@@ -93,24 +84,22 @@ SOFT_STIFFNESS = 0.03
 
 
 def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
-    """Find rigid motions of bodies that supports and K resist little or not at all. Collective.
-
-    K of the `LinearSystem` must be assembled.
-    """
+    """Find rigid motions that supports and the assembled K resist little or not. Collective."""
     mesh, prescribed = system.V.mesh, system.prescribed_displacements
     comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
     modes, label = bodies.rigid_modes(dim), np.repeat(bodies.label, dim)
+    # the energy R'K R of the rigid body modes R; rows of prescribed degrees of freedom have a 1 on
+    # the diagonal of K: they are weighted like other rows, and resist motions
     K = system.displacement_stiffness()
     forces, diagonal = product(K, modes), K.getDiagonal()
     largest = _largest_entries(diagonal.array.reshape(-1, dim), ~prescribed, bodies, comm)
-    # rows of prescribed degrees of freedom have a 1 on the diagonal: weigh them like other rows
     weight = diags_array(np.where(prescribed, largest[label], 1.0))
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))
     free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
     gram = sums.sparse_inner(free, free)
     body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.count))
 
-    # a body's own stiffness: K's diagonal is about E h^(dim-2), the number of nodes (L/h)^dim
+    # a body's own stiffness E L^(dim-2): K's diagonal is about E h^(dim-2), with (L/h)^dim nodes
     stiffness = largest / bodies.node_counts ** (2.0 / dim)
     # rounding: the product with K adds some hundred entries of each row, which cancel each other
     nothing = 8.0 * ROUNDING * largest
@@ -133,7 +122,8 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
 def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> Array:
     """Return the largest diagonal entry of K on each body, 1 if all are prescribed. Collective.
 
-    The diagonal is (nodes, dim), and `free` (nodes * dim,) excludes what is prescribed.
+    The `diagonal` is (nodes, dim), and `free` (nodes * dim,) excludes prescribed entries. An error
+    is raised if any other entry is not positive.
     """
     node, component = np.nonzero(free.reshape(diagonal.shape))
     entries, label = diagonal[node, component], bodies.label[node]
@@ -153,21 +143,22 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
 
 
 def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices, Array, csr_array]:
-    """Return the rigid motions of each body against which the stiffness of K is stationary.
+    """Return the rigid motions x of each body at which x'R'K R x / x'R'R x is stationary.
 
-    The matrix `gram` (m, m) has the inner products of the rigid body modes R on free degrees of
-    freedom, `energy` is R'K R, and the modes of the bodies follow one another.
+    The matrix `gram` (m, m) is R'R for the rigid body modes R on free degrees of freedom, `energy`
+    is R'K R, and the modes of the bodies follow one another.
 
     Returns:
         the body (k,) of each motion, ascending; the stiffness (k,) against it; and the components
         (m, k) of the motions in the modes. Motions that move no free degree of freedom are left
         out; the other motions are orthonormal on free degrees of freedom.
     """
+    # motions that are orthonormal on free degrees of freedom; (bodies, 3 or 6) squared lengths
     values, vectors = eigenpairs(gram)
-    of_bodies = values.reshape(count, -1)
-    independent = of_bodies > 1e-10 * of_bodies.max(axis=1, keepdims=True)
+    squares = values.reshape(count, -1)
+    independent = squares > 1e-10 * squares.max(axis=1, keepdims=True)
     body, column = np.nonzero(independent)
-    unit = vectors[:, independent.ravel()] @ diags_array(1.0 / np.sqrt(of_bodies[body, column]))
+    unit = vectors[:, independent.ravel()] @ diags_array(1.0 / np.sqrt(squares[body, column]))
     if len(body) == 0:
         return body, np.empty(0), unit
     stiffness, turned = eigenpairs(csr_array(unit.T @ energy @ unit))
@@ -200,9 +191,9 @@ class FixingSprings:
 
         The springs act on about `FIXING_NODES` nodes of each body, chosen at random, since nodes at
         regular intervals might all be on one edge. They make the body about as stiff against its
-        rigid modes as it is against deformation. There are few such nodes, since the springs couple
-        each of these nodes with all the others; but there are more nodes than modes, since the body
-        would be deformed locally around a single node.
+        rigid modes as it is against deformation. The nodes are few, since the springs couple each
+        of them with all the others; but they are more than the modes, since the body would be
+        deformed locally around a single node.
         """
         modes, label = self.modes, self.modes.bodies.label
         # the nodes that modes move, and a random number in [0, 1) for each, whatever the partition
@@ -213,7 +204,8 @@ class FixingSprings:
         chosen = moves & (chance * numbers[label] <= FIXING_NODES)
         fixed_modes = csr_array(diags_array(np.repeat(chosen, modes.dim) * 1.0) @ modes.basis)
         fixed_modes.eliminate_zeros()
-        # such that R'Z is the root of the modes' stiffness
+        # with F, the modes R at the chosen nodes, Z = F (F'F)^-1 D has R'Z = D, for R'F = F'F; D is
+        # the diagonal of the roots of the modes' stiffness
         gram = RankReductions(modes.comm).sparse_inner(fixed_modes, fixed_modes)
         values, vectors = modes.comm.bcast(eigenpairs(gram))
         inverse = vectors @ diags_array(1.0 / values) @ vectors.T
@@ -222,7 +214,7 @@ class FixingSprings:
     def added_to(self, K: PETSc.Mat) -> PETSc.Mat:
         """Return the well-conditioned matrix K + Z Z', which the caller owns. Collective."""
         comm, k = self.modes.comm, len(self.modes)
-        Z = sparse_matrix(self.columns, (k if comm.rank == 0 else 0, k), comm)
+        Z = sparse_matrix(self.columns, (k if comm.rank == 0 else 0, k), comm)  # columns on rank 0
         springs, result = Z.matTransposeMult(Z), K.copy()
         result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
@@ -240,16 +232,28 @@ class FixingSprings:
         for `added_to(K)`.
 
         Returns:
-            U (owned degrees of freedom, k), and the stiffness (k, k) of K against U; both sparse.
+            U (owned degrees of freedom, k), and the stiffness R'K U (k, k), which is exactly zero
+            for modes that K does not resist; both sparse.
         """
         modes, k = self.modes, len(self.modes)
         if modes.floats.all():
             return modes.basis, csr_array((k, k))
+        V = self._resisted_displacements(K, solver)
+        # the stiffness as R'Z Z'V, since the equal R'K R - (K R)'V would be a small difference of
+        # large terms; Z'R is the square root of `RigidBodyModes.stiffness`
+        springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
+        resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
+        return csr_array(modes.basis - V), csr_array(0.5 * (resisted + resisted.T))
+
+    def _resisted_displacements(self, K: PETSc.Mat, solver: StiffnessSolver) -> csr_array:
+        """Return V = R - U = K_p^-1 K R (owned degrees of freedom, k), sparse. Collective."""
+        modes, k = self.modes, len(self.modes)
         # forces of equal size on all bodies, since the accuracy is relative to the whole answer
         forces = product(K, modes.basis)
         norms = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
         norms[norms == 0.0] = 1.0
-        # K couples no two bodies, so that one solve serves one soft mode of every body
+        # K couples no two bodies, so that one solve serves one soft mode of every body; its answer
+        # is split into the columns of V by the body of each row (`moves`)
         soft, body, n = ~modes.floats, modes.body, forces.shape[0]
         number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
         label = np.repeat(modes.bodies.label, modes.dim)
@@ -262,18 +266,14 @@ class FixingSprings:
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
             V = V + diags_array(answer.array) @ moves @ diags_array(chosen * norms)
-        # the stiffness as R'ZZ'V, where V = R - U, since the equal R'KR - (KR)'V would be a small
-        # difference of large terms; Z'R is the square root of `RigidBodyModes.stiffness`
-        springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
-        resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
-        return csr_array(modes.basis - V), csr_array(0.5 * (resisted + resisted.T))
+        return V
 
 
 def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
     """Return springs that fix floating and softly held bodies; None if no body needs springs.
 
-    Not collective. In a mixed space softly held bodies get no springs, since the factorisation of K
-    does not need positive pivots there.
+    Not collective. In a mixed space, a floating body raises an error, and softly held bodies get no
+    springs, since the factorisation of K does not need positive pivots there.
     """
     if system.component is None or not modes:
         return FixingSprings(modes) if modes else None

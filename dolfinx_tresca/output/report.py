@@ -84,7 +84,7 @@ class ProblemSummary:
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
         own = [int(system.moves.sum()), sum(len(pair.nodes) for pair in jump.pairs)]
         own += [len(rows.nodes) for rows in by_pair]
-        free_dofs, contact_nodes, *counts = reduce_array(comm, own).tolist()
+        free_dofs, contact_nodes, *counts = map(int, reduce_array(comm, own))
         texts = []
         for pair, rows, nodes in zip(pairs, by_pair, counts, strict=True):
             kind = "mortar" if pair.obstacle is None else "obstacle"

@@ -1,6 +1,6 @@
 """Linear equations that multipliers must satisfy besides Lambda, and a search for such multipliers.
 
-The page begins with sums over ranks and ends with factors of sparse matrices. Numpy only.
+The page begins with sums over ranks and ends with factors of sparse matrices. Numpy and scipy only.
 """
 
 from __future__ import annotations
@@ -57,21 +57,16 @@ class EqualityConstraints:
 
     Equations with S = 0 are exact, and c are their Lagrange multipliers. Equations with S > 0 are
     soft: the term (e - G'x)'S^-1 (e - G'x) / 2 is added to q, and c = S^-1 (e - G'x). In both
-    cases, the gradient in x is A x - b - G c. With k = 0, there are no equations, and no method
-    communicates.
+    cases, the gradient in x is A x - b - G c. With k = 0, no method communicates.
 
     The equations express the equilibrium of floating bodies (`floating/equilibrium.py`); this
-    module does not depend on that meaning.
-
-    Methods are collective.
+    module does not depend on that meaning. Methods are collective.
 
     Attributes:
-        columns: G (size, k), with columns of length 1 or less. Each row has entries for few bodies
-            only.
+        columns: G (size, k), with columns of length 1 or less. A row has entries for few bodies.
         softness: (k, k) S, symmetric.
         values: (k,) e.
-        term_sums: (k,) sums of the absolute values of the terms of e, from which rounding errors
-            are estimated.
+        term_sums: (k,) sums of the absolute values of the terms of e, for rounding errors.
     """
 
     columns: csr_array
@@ -103,12 +98,12 @@ class EqualityConstraints:
         return self.reductions.total(self.absolute.T @ x)
 
     def softness_with(self, added: float) -> csr_array:
-        """Return S + s (I - V V'), with the `soft_directions` V and a number s >= 0: (k, k)."""
+        """Return S + s (I - V V') (k, k): exact equations, too, get a softness s = `added` >= 0."""
         return csr_array(self.softness + added * self._exact_projector) if added else self.softness
 
     @cached_property
     def _exact_projector(self) -> csr_array:
-        """The projector I - V V' onto the directions of equations that are not soft."""
+        """The projector I - V V' (k, k) onto exact equations, with the `soft_directions` V."""
         vectors = self.soft_directions[1]
         return csr_array(eye_array(len(self)) - vectors @ vectors.T)
 
@@ -117,9 +112,10 @@ class EqualityConstraints:
         return np.asarray(self.values - self.along(x) - self.softness @ c)
 
     def imbalance(self, x: Array, c: Array) -> float:
-        """Return the residual of the exact or of the soft equations, divided by their terms.
+        """Return the larger of two relative residuals: of the exact and of the soft equations.
 
-        The larger number counts. Terms of soft equations may be larger than loads by any factor.
+        Each is the norm of the residual, divided by the norm of the terms of these equations. The
+        terms S c of soft equations may be larger than the loads by any factor.
         """
         if len(self) == 0:
             return 0.0
@@ -135,8 +131,8 @@ class EqualityConstraints:
     def soft_violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
 
-        For floating bodies, the result is the energy norm of the rigid displacements that are
-        missing for equilibrium.
+        With the soft eigenvectors V of S and their eigenvalues s, V'd is V'(e - G'x - S c) / s. For
+        floating bodies, this is the energy norm of the rigid displacements missing for equilibrium.
         """
         eigenvalues, vectors = self.soft_directions
         missing = vectors.T @ self.residual(x, c)
@@ -144,7 +140,7 @@ class EqualityConstraints:
 
     @cached_property
     def soft_directions(self) -> tuple[Array, csr_array]:
-        """The eigenvalues of S that exceed rounding errors, and their eigenvectors (k, number)."""
+        """The eigenvalues of S above rounding errors, and their eigenvectors V (k, number)."""
         if not self.softness.nonzero()[0].size:
             return np.empty(0), csr_array((len(self), 0))
         values, vectors = eigenpairs(self.softness)
@@ -160,14 +156,12 @@ class EqualityConstraints:
 LOST = 1e-6
 
 #: First value of the damping, which is the fraction of the diagonal of the majorant G'G + C that is
-#: added to the Hessian. After a whole step, the damping is multiplied by
-#: `RELAXATION`, since the next step may be longer where phi is flat; after a part of a step, it is
-#: divided by this part. If rounding makes the matrix indefinite, the damping is multiplied by
-#: `MORE_DAMPING`.
+#: added to the Hessian. After a whole step, the damping is multiplied by `RELAXATION`, since the
+#: next step may be longer where phi is flat; after a part of a step, it is divided by this part. If
+#: rounding makes the matrix indefinite, it is multiplied by `MORE_DAMPING`.
 DAMPING, RELAXATION, MORE_DAMPING = 1e-4, 1e-3, 10.0
 
-#: Relative accuracy of the part of a step that minimises phi. The kinks of phi may be at parts of
-#: any order of magnitude.
+#: Relative accuracy of the part of a step that minimises phi, whose kinks may be at tiny parts.
 PART_ACCURACY = 1e-6
 
 #: The search ends without a solution if all multipliers that satisfy the equations have a norm
@@ -182,9 +176,8 @@ class Balance:
     Attributes:
         shift: (k,) the solution z; the multipliers are P(y + G z).
         excess: (k,) residual of the equation.
-        satisfied: whether the residual is at most the rounding error of the equation's terms. The
-            rounding error of G z may be larger; a residual of that size does not prove that a
-            solution exists.
+        satisfied: whether the residual is at most the rounding error of the equation's terms. (The
+            rounding of G z does not count.)
         unbounded: whether all solutions are too large (`LARGEST_REACTION`), or none exists.
     """
 
@@ -246,18 +239,19 @@ def balance(
     z, damping, unbounded = np.zeros_like(target), DAMPING, False
     for _ in range(MOST_STEPS):
         gradient = excess(z)
-        # two rounding errors of the residual: from summing it, and from G z
+        # two rounding errors of the gradient: of its sums, and of G z, which may be much larger
         p = feasible_set.project(y + G @ z)
         shift_terms = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
-        terms, of_shift = constraints.along_absolute(np.column_stack([np.abs(p), shift_terms])).T
-        terms = agreed(terms + abs(C) @ np.abs(z) + term_sums)
-        rounding, of_shift = ROUNDING * terms, agreed(np.finfo(float).eps * of_shift)
-        # once `unbounded` is proven, one more step makes the direction of z more accurate
-        if unbounded or of_shift.max() > LOST * terms.max():
+        sums = constraints.along_absolute(np.column_stack([np.abs(p), shift_terms]))
+        terms = agreed(sums[:, 0] + abs(C) @ np.abs(z) + term_sums)
+        rounding, shift_rounding = ROUNDING * terms, agreed(np.finfo(float).eps * sums[:, 1])
+        # the end: once `unbounded` is proven, one more step has made the direction of z accurate
+        if unbounded or shift_rounding.max() > LOST * terms.max():
             break
-        if (np.abs(gradient) <= rounding + of_shift).all():
+        if (np.abs(gradient) <= rounding + shift_rounding).all():
             return Balance(z, gradient, bool((np.abs(gradient) <= rounding).all()))
         unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
+        # a damped Newton step, with unknowns scaled by the diagonal of the majorant
         hessian = inner(G, feasible_set.projection_derivative(y + G @ z) @ G) + C
         step = -agreed(
             scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
@@ -266,7 +260,7 @@ def balance(
         def slope(length: float, z: Array = z, step: Array = step) -> float:
             return _dot(step, excess(z + length * step))
 
-        length = 1.0
+        length = 1.0  # less, if phi has its least value on the way
         if slope(1.0) > 0.0 > _dot(step, gradient):
             length = brentq(slope, 0.0, 1.0, xtol=1e-30, rtol=PART_ACCURACY, maxiter=1000)
         z = z + length * step
@@ -276,7 +270,7 @@ def balance(
 
 
 def _damped_solution(matrix: csr_array, right: Array, damping: float) -> Array:
-    """Return (M + d I)^-1 b for M >= 0; d is increased until the factorisation exists."""
+    """Return (M + d I)^-1 b for a matrix M >= 0, with the least damping d that rounding permits."""
     unit = eye_array(len(right))
     while damping < np.inf:
         factors = factored(matrix + damping * unit)
@@ -301,6 +295,7 @@ def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
     to the block of row j; the eigenvalues of a block ascend.
     """
     label = connected_components(matrix, directed=False)[1]
+    # the rows of one block after the other, ascending in each block; `place` undoes this order
     order = np.argsort(label, kind="stable")
     blocks = np.split(order, np.cumsum(np.bincount(label))[:-1])
     rows = csr_array(matrix)

@@ -14,8 +14,7 @@ from dolfinx_tresca.solvers.constraints import norm
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
-#: Rounding may be the cause of a stagnation if the residual, divided by its scale or by |b|, is at
-#: most this number.
+#: Largest residual, divided by its scale or by |b|, whose stagnation rounding may cause.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
@@ -25,12 +24,14 @@ class NaturalResidual:
     With equality constraints, |e - G'lambda - S c| / rho is the other component of the residual.
     The relative residual is this residual divided by its scale. The scale is the residual at
     lambda = 0, so that the relative residual does not depend on units, on the size of the load, or
-    on the initial guess. In a load step whose initial multipliers x have a larger residual than
-    zero, the scale is at least |A x|. An example is a wedge that friction keeps in place after its
-    load is removed: the residual at zero is zero.
+    on the initial guess. In a load step the residual of the initial multipliers x may be larger
+    than that at lambda = 0; the scale is then at least |A x|. An example is a wedge that friction
+    keeps in place after its load is removed: the residual at lambda = 0 is zero.
 
     Attributes:
+        rho: length of the gradient step in the residual, about 1 / sigma_max of A.
         scale: the divisor of relative residuals, see above.
+        zero: the point lambda = 0, with the constraints' present multipliers.
         zero_is_solution: whether the residual at lambda = 0 is rounding.
         rounding: largest residual that counts as rounding.
     """
@@ -38,14 +39,14 @@ class NaturalResidual:
     def __init__(self, problem: DualProblem, rho: float, error: float = 0.0) -> None:
         """Measure the scale. Collective.
 
-        If the solver for K cannot reduce the error of the gradient at zero further, it is given as
-        `error`, and residuals below it count as zero.
+        The `error` is that of b in the norm sqrt(e'A^-1 e), if the solver for K cannot reduce it:
+        residuals below it count as zero. By default, only rounding counts as zero.
         """
         self._problem, self._error, self._counted, self.rho = problem, error, 0.0, rho
         self.set_constraint_multipliers(np.zeros(len(problem.constraints)))
 
     def set_constraint_multipliers(self, c: Array) -> None:
-        """Measure the scale with multipliers c (k,) of constraints: b is known up to G c."""
+        """Measure the scale with multipliers c (k,): the gradient at 0 is -b - G c. Collective."""
         b = self._problem.b
         self.zero = Point(np.zeros_like(b), c, -b - self._problem.constraints.columns @ c)
         self.set_rho(self.rho)
@@ -55,11 +56,11 @@ class NaturalResidual:
         self.rho = rho
         at_zero = self.norm_at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
-        of_constraints = self._problem.constraints.absolute @ np.abs(self.zero.c)
+        constraint_terms = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self._terms = norm(self._problem, self._problem.b_terms)
-        size = self._terms + norm(self._problem, of_constraints)
+        terms = self._terms + norm(self._problem, constraint_terms)
         # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), and rho is 1 / sigma_max
-        self.rounding = max(ROUNDING * size, self._error / float(np.sqrt(rho)))
+        self.rounding = max(ROUNDING * terms, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = at_zero <= self.rounding
         self.scale = max(0.0 if self.zero_is_solution else at_zero, self._counted)
 
@@ -71,11 +72,10 @@ class NaturalResidual:
     def zero_is_undecided(self, error: float) -> bool:
         """Return whether the gradient is too inaccurate to decide if zero is the solution.
 
-        It is if the projection of zero moves once each gradient is lowered by its largest error: a
-        pressure could begin. `rho` is about 1 / sigma_max of A. Collective.
+        The `error` e is given in the norm sqrt(e'A^-1 e). Zero is undecided if its residual is at
+        most |e|, and a pressure begins once each gradient is lowered by |e|. Collective.
         """
-        # |e| is at most sqrt(sigma_max) times the norm sqrt(e'A^-1 e)
-        largest, zero = error / float(np.sqrt(self.rho)), self.zero
+        largest, zero = error / float(np.sqrt(self.rho)), self.zero  # the bound of |e| in `set_rho`
         return self.scale <= largest and self.norm_at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
 
     def norm_at(self, point: Point) -> float:
@@ -102,12 +102,15 @@ class NaturalResidual:
 def dual_energy(problem: DualProblem, point: Point) -> float:
     """Return q = x'A x / 2 - b'x, plus the energy c'S c / 2 of soft constraints. Collective."""
     constraints, c = problem.constraints, point.c
-    image = point.r + constraints.columns @ c - problem.b
+    image = point.r + constraints.columns @ c - problem.b  # A x - 2 b, since r = A x - b - G c
     return 0.5 * (float(problem.inner(point.x, image)) + float(c @ constraints.softness @ c))
 
 
 def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float:
-    """Return |u|_K [energy^(1/2)] of the displacement u; 0 if less than its error. Collective."""
+    """Return the root of |u|_K^2 + c'S c [energy^(1/2)] for the displacement u. Collective.
+
+    If |u|_K is less than its `error`, it counts as 0.
+    """
     constraints, c = problem.constraints, point.c
     soft = float(c @ constraints.softness @ c)
     elastic = problem.energy_norm(point.x, point.r + constraints.columns @ c, error)
@@ -125,9 +128,7 @@ def relative_error(problem: DualProblem, bound: float, displacement_norm: float)
     """Return an error bound divided by the norm of the displacement; 0 if both are rounding.
 
     If the contact carries all loads and no body deforms, the displacement and its error are both
-    only rounding errors of displacements that cancel, and their ratio has no meaning.
-
-    Collective.
+    only rounding errors of displacements that cancel, and their ratio has no meaning. Collective.
     """
     if bound == 0.0 or max(bound, displacement_norm) <= problem.energy_resolution():
         return 0.0
@@ -139,15 +140,13 @@ def relative_error(problem: DualProblem, bound: float, displacement_norm: float)
 #: error is below `BELOW_ANY_MESH`, since every mesh has a larger error.
 SMALLEST_TOLERANCE, BELOW_ANY_MESH = 1e-8, 1e-4
 
-#: Largest accepted residual of the equality constraints, relative to their terms: forces are in
-#: equilibrium.
+#: Largest accepted residual of the equality constraints, relative to their terms.
 BALANCED = 1e-10
 
 #: Requested residual if there is no bound of the energy error and the user set no `rtol`.
 UNPROVEN = 1e-6
 
-#: Function that is called with each iterate, the first one included. It returns whether to stop,
-#: with the same result on all ranks.
+#: Function that is called with each iterate. It returns whether to stop, equally on all ranks.
 Observe = Callable[[Iteration], bool]
 
 
@@ -161,8 +160,7 @@ class History:
     energy error may be large although the residual is small.
 
     Attributes:
-        accuracy: relative error in the energy norm that is requested at present; inf if it is not
-            yet known.
+        accuracy: relative error in the energy norm that is requested; inf: not yet known.
         residuals: relative natural residual of each iterate.
         q: q(lambda) of each iterate, with the energy of soft constraints.
         residual_norms: natural residual of each iterate, not divided by its scale.
@@ -208,10 +206,10 @@ class History:
         return None
 
     def is_idle(self, iterations: int, progress: float, since: int = 0) -> bool:
-        """Return whether residuals have not decreased in the last iterations. Not collective.
+        """Return whether residuals have hardly decreased in the last `iterations`. Not collective.
 
-        The last `iterations` count as idle if their least residual exceeds `progress` times the
-        least one before them; iterates before the one with the index `since` do not count.
+        They have not if their least residual exceeds `progress` times the least residual before
+        them. Iterates before the one with the index `since` do not count.
         """
         residuals = self.residuals[since:]
         return len(residuals) > iterations and (
@@ -221,7 +219,7 @@ class History:
     def solution(self, point: Point, status: ContactStatus, error: float | None) -> DualSolution:
         """Return the result with the last iterate as the solution. Collective.
 
-        If the error of the gradient is unknown, it is None.
+        The `error` is that of the gradient in the norm sqrt(e'A^-1 e); None: unknown.
         """
         return DualSolution(
             multipliers=point.x,
@@ -249,9 +247,9 @@ class History:
         below `FORCING` sets `accuracy` from the error of the mesh. An iterate whose residual is
         exactly zero is always good enough, since no step would change it. Collective.
 
-        The natural residual is not divided by its scale.
+        The `error` is that of the gradient; the `residual` is not divided by its scale.
         """
-        reached, wanted = 0.0, 1.0  # without a criterion
+        reached, wanted = 0.0, 1.0  # the result if there is no criterion
         for reached, wanted in self.measures(point, error, residual):
             if not reached <= wanted:
                 return reached, wanted, residual == 0.0
@@ -263,35 +261,35 @@ class History:
         """Yield the reached and the requested value of each criterion in turn. Collective.
 
         A criterion is computed only if the caller asks for it, after the earlier criteria are met.
-        If the residual is rounding, there is no criterion with the default accuracy, or if zero is
-        the solution.
+        If the residual is rounding, equilibrium is not checked; and nothing is checked if zero is
+        the solution, or if the user gave neither a number for `accuracy=` nor `rtol=`.
         """
-        problem, x, r = self._problem, point.x, point.r
-        is_asked = self._options.rtol is not None or not self._mesh_decides
+        problem, rtol, x, r = self._problem, self._options.rtol, point.x, point.r
+        user_asks = rtol is not None or not self._mesh_decides
         is_rounding = residual <= self.residual.rounding
-        if is_rounding and (self.residual.zero_is_solution or not is_asked):
+        if is_rounding and (self.residual.zero_is_solution or not user_asks):
             return
         if not is_rounding:
             yield problem.constraints.imbalance(x, point.c), BALANCED
-        if self._options.rtol is not None:
-            yield self.residual.relative(residual), self._options.rtol
+        if rtol is not None:
+            yield self.residual.relative(residual), rtol
         bound = energy_error(problem, point, error)
         if not self._mesh_decides:
             yield bound, self.accuracy
             return
         yield problem.local_error(x, r), self._options.local_accuracy
+        # the relative bound is infinite if there is no bound, or while |u|_K is below its error
         if np.isfinite(bound) or np.isfinite(problem.energy_bound(x, r, error)):
-            # the relative bound is infinite while errors exceed the norm of the displacement
             if self.accuracy == np.inf:
-                yield bound, FORCING
-                if self._options.rtol is None or bound > BELOW_ANY_MESH:
+                yield bound, FORCING  # before the error of the mesh is estimated
+                if rtol is None or bound > BELOW_ANY_MESH:
                     mesh = problem.discretisation_error(x, point.c)
                     self.accuracy = min(
                         max(self._options.mesh_part * mesh, SMALLEST_TOLERANCE), FORCING
                     )
             if self.accuracy < np.inf:
                 yield bound, self.accuracy
-        elif self._options.rtol is None:
+        elif rtol is None:
             yield self.residual.relative(residual), UNPROVEN
 
     def tolerable_error(self, point: Point) -> float:
@@ -300,12 +298,11 @@ class History:
         The tolerable error is small compared with the error of the multipliers, since the local
         errors of the nodes are computed from the gradient.
         """
-        problem = self._problem
-        norm = energy_norm(problem, point)
-        if norm == 0.0:  # no relative error
+        displacement_norm = energy_norm(self._problem, point)
+        if displacement_norm == 0.0:  # no relative error
             return 0.0
-        reached = energy_error(problem, point)
-        error = max(min(self.accuracy, reached), SMALLEST_TOLERANCE) * norm
+        relative = min(self.accuracy, energy_error(self._problem, point))
+        error = max(relative, SMALLEST_TOLERANCE) * displacement_norm
         if self._options.rtol is not None or not np.isfinite(error):
             error = min(error, self.residual_error)
         return FORCING * error
@@ -314,9 +311,9 @@ class History:
     def residual_error(self) -> float:
         """The largest tolerable norm sqrt(e'A^-1 e) of an error e of the gradient.
 
-        The Euclidean norm |e| is then at most the requested residual.
+        The Euclidean norm |e| <= sqrt(sigma_max) sqrt(e'A^-1 e) is then at most the requested
+        residual, since rho is `step_factor` / sigma_max.
         """
         rtol = UNPROVEN if self._options.rtol is None else self._options.rtol
-        # the norm sqrt(e'A^-1 e) is at least |e| / sqrt(sigma_max)
         rho = self.residual.rho
         return rtol * self.residual.scale * float(np.sqrt(rho / self._options.step_factor))

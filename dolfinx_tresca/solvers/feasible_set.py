@@ -25,16 +25,12 @@ class Face:
     A disc of radius zero is a single point, and counts neither as stick nor as slip.
 
     Attributes:
-        stick: (n_discs,) the active set A_tau of (38.13): discs whose multiplier is inside the
-            disc.
+        stick: (n_discs,) the active set A_tau of (38.13): discs with the multiplier inside.
         slip: (n_discs,) discs whose multiplier is on the circle.
         active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
-            of (38.12), tangential multipliers of sticking nodes, and all multipliers of bonded
-            nodes.
-        free: (size,) active multipliers, and tangential multipliers of slipping nodes, which may
-            move along their circles.
-        radial: (size,) unit vectors from the centres of slipping nodes' discs to their multipliers;
-            zero elsewhere.
+            of (38.12), tangential multipliers of sticking nodes, and all of bonded nodes.
+        free: (size,) active multipliers, and those of slipping nodes, which move along circles.
+        radial: (size,) unit vectors along the multipliers of slipping nodes; zero elsewhere.
         discs: Lambda, with the positions of the discs' multipliers.
     """
 
@@ -59,16 +55,14 @@ class FeasibleSet:
     """Lambda: normal multipliers are not negative, tangential ones lie in the disc of their node.
 
     A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one in
-    2D and in a symmetry plane. Multipliers of bonded surfaces are neither normal nor tangential;
-    they are not restricted.
+    2D and in a symmetry plane. Multipliers of bonded surfaces are neither, and not restricted.
 
     Attributes:
         size: number of multipliers on this rank.
         normal: (n_normal,) positions of the normal multipliers lambda_nu.
         tangential: (n_tangential,) positions of the tangential multipliers lambda_tau.
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
-        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau, in the units of
-            lambda_tau.
+        radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau.
         normal_of: (n_discs,) position of the normal multiplier of the disc's node; -1: there is
             none, or the disc is not that of the node's friction.
     """
@@ -117,7 +111,7 @@ class FeasibleSet:
 
     def of_normals(self, v: Array) -> Array:
         """Return the entries (n_discs,) of v (size,) in the discs' normal rows; 0 without one."""
-        return np.append(v, 0.0)[self.normal_of]
+        return np.append(v, 0.0)[self.normal_of]  # -1: the appended zero
 
     def at_tangents(self, values: Array) -> Array:
         """Return values (n_discs,) in the tangential rows (size,) of the discs, zero elsewhere."""
@@ -126,9 +120,9 @@ class FeasibleSet:
         return result
 
     def linear_bounds(self) -> list[tuple[Array, Array]]:
-        """Return functions a + s p of the pressure p, whose minimum is the bound: a, s (n_discs,).
+        """Return functions of the pressure p of each disc whose minimum is its slip bound.
 
-        The constant a may be infinite.
+        For each function a + s p the list has a, maybe infinite, and s, (n_discs,) each.
         """
         return [(self.radius, np.zeros_like(self.radius))]
 
@@ -161,6 +155,8 @@ class FeasibleSet:
 
     def projection_derivative(self, y: Array) -> csr_array:
         """Return the slant derivative (size, size) of P_Lambda at y, (38.8)."""
+        # outside of its disc, y with the unit vector e becomes g e: the derivative of the
+        # tangential part is g / |y| (I - e e')
         face, factor = self.face(y), np.ones_like(self.radius)
         np.divide(self.radius, self.norms(y), out=factor, where=face.slip)
         scales = self.scaled_discs(np.ones(self.size), factor)
@@ -182,17 +178,18 @@ class FeasibleSet:
     @cached_property
     def _pattern(self) -> csr_array:
         """The sparsity (size, size) of `nodal_matrix`."""
-        size, has = self.size, np.flatnonzero(self.normal_of >= 0)
-        node = np.arange(size) + len(self.radius)
-        node[self.tangential], node[self.normal_of[has]] = self.node, has
-        entries = np.ones(size), node, np.arange(size + 1)
+        size, has_normal = self.size, np.flatnonzero(self.normal_of >= 0)
+        # multipliers of a node have the number of its disc, all others a number of their own
+        number = np.arange(size) + len(self.radius)
+        number[self.tangential], number[self.normal_of[has_normal]] = self.node, has_normal
+        entries = np.ones(size), number, np.arange(size + 1)
         member = csr_array(entries, shape=(size, size + len(self.radius)))
         pattern = csr_array(member @ member.T)
         pattern.sort_indices()
         return pattern
 
     def face(self, y: Array) -> Face:
-        """Return the face that holds P_Lambda(y): (38.12) and (38.13) for y = lambda - rho r."""
+        """Return the face on which P_Lambda(y) lies: (38.12), (38.13) for y = lambda - rho r."""
         norms = self.norms(y)
         stick = (norms <= self.radius) & self.movable
         slip = ~stick & self.movable
@@ -258,8 +255,7 @@ def pressed_values(
 class NodalCurves:
     """The curves of all discs, as functions of multipliers and their gradient.
 
-    A multiplier is a stress times the root of its node's area, and a component of the gradient is
-    a length times the same root.
+    A multiplier is a stress times the root of its node's area, and a gradient a length times it.
 
     Attributes:
         of_discs: for each curve the range of its discs, and the curve.
@@ -271,10 +267,11 @@ class NodalCurves:
 
     @np.errstate(all="ignore")
     def coefficients(self, constant: Array, pressure: Array, slip: Array | float) -> Array:
-        """Return F (n_discs,): values of the curves, and `constant` for discs without a curve.
+        """Return F (n_discs,) at multipliers `pressure` and gradients `slip`, (n_discs,) each.
 
-        Values that are negative or not finite become zero: iterates may have pressures and slips
-        far from those of the solution. The values at the solution are checked afterwards.
+        Discs without a curve have the coefficient `constant` (n_discs,). Values of curves that are
+        negative or not finite become zero: iterates may have pressures and slips far from those of
+        the solution. The values at the solution are checked afterwards.
         """
         result = constant.copy()
         for discs, curve, p, v in self.arguments(pressure, slip):
@@ -284,16 +281,19 @@ class NodalCurves:
 
     @np.errstate(all="ignore")
     def slopes(self, pressure: Array, slip: Array | float) -> Array:
-        """Return dF/dp and dF/dv (2, n_discs), zero for discs without a curve."""
+        """Return dF/dp and dF/dv (2, n_discs) by multiplier p and gradient v; 0 without a curve."""
         result = np.zeros((2, len(self.root)))
         for discs, curve, p, v in self.arguments(pressure, slip):
             result[:, discs] = np.nan_to_num(curve.slopes(p, v), posinf=0.0, neginf=0.0)
-        return result / self.root
+        return result / self.root  # the chain rule: the curve's arguments are p / root and v / root
 
     def arguments(
         self, pressure: Array, slip: Array | float
     ) -> list[tuple[slice, Curve, Array, Array]]:
-        """Return the discs of each curve, the curve, and its nodes' pressures and slips (n,)."""
+        """Return for each curve its discs, the curve, pressures [stress] and slips [length] (n,).
+
+        The arguments (n_discs,) are multipliers and gradients.
+        """
         p: Array = np.maximum(pressure, 0.0) / self.root
         v: Array = np.divide(slip, self.root)
         return [(discs, curve, p[discs], v[discs]) for discs, curve in self.of_discs]
@@ -316,8 +316,7 @@ class FrictionCones(FeasibleSet):
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip, for some discs or none.
-        slip: (n_discs,) norm of the tangential gradient, at which the curves are evaluated; 0.0 for
-            all discs.
+        slip: (n_discs,) norm of the tangential gradient, at which curves are evaluated; or 0.0.
     """
 
     has_given_bounds = False
@@ -336,23 +335,25 @@ class FrictionCones(FeasibleSet):
     def at_point(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
-        A node that friction at rest would hold at `target` (size,), the end of a gradient step from
-        x, counts as sticking, with the slip zero, unless friction decreases at the present slip.
+        Slips are the norms of the tangential parts of r. If the end `target` (size,) of a gradient
+        step from x is given, the slip of a node counts as zero where friction at rest would hold
+        the node at `target`, unless its friction decreases at the present slip.
         Bodies are at rest before they slide: for a coefficient that falls steeply, Newton's method
         would else find the solution in which they slide.
         """
         if not self.curves.of_discs:
             return self
-        pressure, slip = self.of_normals(x), self.norms(r)
+        slip = self.norms(r)
+        cones = dataclasses.replace(self, slip=slip)
         if target is not None:
-            at_rest = dataclasses.replace(self, slip=0.0).section(x).radius
-            weakens = dataclasses.replace(self, slip=slip).slopes(x)[1] < 0.0
-            slip = np.where((self.norms(target) <= at_rest) & ~weakens, 0.0, slip)
-        moved = dataclasses.replace(self, slip=slip)
-        return dataclasses.replace(moved, coefficient=moved._coefficients(pressure))
+            bound_at_rest = dataclasses.replace(self, slip=0.0).section(x).radius
+            weakens = cones.slopes(x)[1] < 0.0
+            rests = (self.norms(target) <= bound_at_rest) & ~weakens
+            cones = dataclasses.replace(self, slip=np.where(rests, 0.0, slip))
+        return dataclasses.replace(cones, coefficient=cones._coefficients(self.of_normals(x)))
 
     def linear_bounds(self) -> list[tuple[Array, Array]]:
-        """Return functions of the pressure whose minimum is the bound, for fixed coefficients."""
+        """Return c + F p and c + l as in `FeasibleSet.linear_bounds`, for the coefficients F."""
         zero = np.zeros_like(self.limit)
         return [(self.radius, self.coefficient), (self.radius + self.limit, zero)]
 
@@ -371,20 +372,24 @@ class FrictionCones(FeasibleSet):
         """Return the point of the set nearest to y (size,)."""
         pressure, ratio, _ = self._nearest(y)
         result: Array = self.scaled_discs(y, ratio)
-        result[self.normal] = np.maximum(y[self.normal], 0.0)
-        has = self.normal_of >= 0
-        result[self.normal_of[has]] = pressure[has]
+        result[self.normal] = np.maximum(y[self.normal], 0.0)  # of nodes without a disc
+        has_normal = self.normal_of >= 0
+        result[self.normal_of[has_normal]] = pressure[has_normal]
         return result
 
     def projection_derivative(self, y: Array) -> csr_array:
-        """Return a slant derivative (size, size) of `project` at y."""
+        """Return a slant derivative (size, size) of `project` at y.
+
+        A node with the pressure p and the traction q e, |e| = 1, gets P(p, q) and R(p, q) e. With
+        the unit vector n in its normal row, the derivative is n dP' + e dR' + R / q (I - e e'),
+        where the gradients dP and dR are combinations of n and e.
+        """
         _, ratio, jacobian = self._nearest(y)
         norms = self.norms(y)
         radial = y * self.at_tangents(1.0 / np.where(norms > 0.0, norms, 1.0))
         normal = self.at_normals(np.ones_like(norms))
-        # the other terms have the parts along the pressure and along the radius
         diagonal = self.scaled_discs(np.ones(self.size), ratio)
-        diagonal[self.normal] = y[self.normal] > 0.0
+        diagonal[self.normal] = y[self.normal] > 0.0  # of nodes without a disc
         diagonal[normal > 0.0] = 0.0
         jacobian[1, 1] -= ratio
         of_pressure, of_radius = (
@@ -394,13 +399,14 @@ class FrictionCones(FeasibleSet):
         return self.nodal_matrix(diagonal, (normal, of_pressure), (radial, of_radius))
 
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
-        """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g.
+        """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g = c + F(p, v) p.
 
         Slopes are zero outside of the mask `where` (n_discs,), and where F p exceeds its limit.
         """
         pressure = self.of_normals(x)
         coefficient = self._coefficients(pressure)
         grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
+        # (F, 0) + p (dF/dp, dF/dv)
         result = np.array([coefficient, np.zeros_like(coefficient)])
         result += np.maximum(pressure, 0.0) * self.curves.slopes(pressure, self.slip)
         return np.where(grows, result, 0.0)
@@ -440,10 +446,11 @@ class FrictionCones(FeasibleSet):
         F = np.where(grows, self.coefficient, zero)
         hypot, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
         np.divide(self.limit, F, out=end, where=F > 0.0)
+        # first points and unit vectors (edges, 2, nodes) of the edges, and lengths (edges, nodes)
         origins = np.array([[zero, zero], [zero, self.radius], [end, self.radius + self.limit]])
         directions = np.array([[zero, unit], [unit / hypot, F / hypot], [unit, zero]])
         lengths = np.array([self.radius, end * hypot, np.inf * unit])
-        with np.errstate(invalid="ignore"):  # edges at infinity
+        with np.errstate(invalid="ignore"):  # the distance of an edge at infinity is NaN
             along = np.clip(((given - origins) * directions).sum(axis=1), 0.0, lengths)
             feet = origins + along[:, None] * directions
             distances = np.linalg.norm(given - feet, axis=1)
@@ -452,6 +459,7 @@ class FrictionCones(FeasibleSet):
         pressure, radius = np.where(inside, given, feet[edge, :, nodes].T)
         ratio = np.ones_like(radius)
         np.divide(radius, given[1], out=ratio, where=given[1] > 0.0)
+        # I inside of the set, t t' on an edge with the unit vector t, zero at a corner
         is_inner = ((along > 0.0) & (along < lengths))[edge, nodes]
         direction = np.where(is_inner, directions[edge, :, nodes].T, 0.0)
         jacobian = np.where(inside, np.eye(2)[:, :, None], direction[:, None] * direction)

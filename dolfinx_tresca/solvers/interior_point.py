@@ -39,6 +39,9 @@ class SecondOrderCones:
     pressure that bounds friction, such as c + F p and c + l. A bound that is a constant makes a
     disc, in whose y_0 no pressure is; without a bound, or if it is infinite, there is no cone.
 
+    Each component of y depends on one multiplier or none: H has a number for each, `_scale` (m, 3),
+    in the column `_position` (m, 3), which is -1 for none.
+
     Attributes:
         free: (size,) 1; 0 for multipliers that a bound of zero forbids.
         constant: (m, 3) h.
@@ -47,18 +50,20 @@ class SecondOrderCones:
     def __init__(self, admissible: FeasibleSet, diagonal: Array) -> None:
         """Find the cones of this rank; `diagonal` (size,) is diag(A). Not collective."""
         self.size = admissible.size
+        # the one or two tangential multipliers of each disc, (n_discs, 2)
         order = np.argsort(admissible.node, kind="stable")
         node = admissible.node[order]
         tangents = np.full((len(admissible.radius), 2), -1)
         place = np.arange(len(node)) - np.searchsorted(node, node)  # 0 or 1 in the node's disc
         tangents[node, place] = admissible.tangential[order]
         self.free = 1.0 - admissible.at_tangents((~admissible.movable).astype(float))
-        # y is in units of energy^(1/2), equally for the three components
-        of_disc = np.sqrt(admissible.disc_means(diagonal))
+        # half-lines of pressures; y is in units of energy^(1/2), equally for the three components
         none = np.full((len(admissible.normal), 2), -1)
         positions: list[Indices] = [np.column_stack([admissible.normal, none])]
         scales = [np.tile(np.sqrt(diagonal[admissible.normal])[:, None], 3)]
         constants: list[Array] = [np.zeros(len(admissible.normal))]
+        # for each linear bound c + s p a cone with y_0 = c + s p, and a disc where s = 0
+        disc_scale = np.sqrt(admissible.disc_means(diagonal))
         for constant, slope in admissible.linear_bounds():
             has_cone = admissible.movable & np.isfinite(constant) & (tangents[:, 0] >= 0)
             bounded = np.flatnonzero(has_cone)
@@ -66,8 +71,8 @@ class SecondOrderCones:
             normals = np.where(slope > 0.0, admissible.normal_of[bounded], -1)
             positions.append(np.column_stack([normals, tangents[bounded]]))
             factors = np.column_stack([slope, np.ones_like(slope), np.ones_like(slope)])
-            scales.append(of_disc[bounded, None] * factors)
-            constants.append(of_disc[bounded] * constant[bounded])
+            scales.append(disc_scale[bounded, None] * factors)
+            constants.append(disc_scale[bounded] * constant[bounded])
         self._position = np.vstack(positions)
         self._scale = np.where(self._position >= 0, np.vstack(scales), 0.0)
         self.constant = np.zeros_like(self._scale)
@@ -75,7 +80,7 @@ class SecondOrderCones:
 
     def linear(self, x: Array) -> Array:
         """Return H x (m, 3)."""
-        return np.asarray(self._scale * np.append(x, 0.0)[self._position])
+        return np.asarray(self._scale * np.append(x, 0.0)[self._position])  # -1: the appended zero
 
     def transposed(self, z: Array) -> Array:
         """Return H'z (size,)."""
@@ -84,17 +89,17 @@ class SecondOrderCones:
         return result[:-1]
 
     def between(self, blocks: Array) -> csr_array:
-        """Return H'D H (size, size) with the blocks D (m, 3, 3) of each cone."""
+        """Return H'D H (size, size) for blocks D (m, 3, 3), one for each cone."""
         values = self._scale[:, :, None] * blocks * self._scale[:, None]
         rows = np.broadcast_to(self._position[:, :, None], values.shape)
         columns = np.broadcast_to(self._position[:, None], values.shape)
         used = (rows >= 0) & (columns >= 0)
         entries = values[used], (rows[used], columns[used])
-        return csr_array(coo_array(entries, shape=(self.size, self.size)))
+        return csr_array(coo_array(entries, shape=(self.size, self.size)))  # adds up the cones
 
 
 def determinants(y: Array) -> Array:
-    """Return y_0^2 - |(y_1, y_2)|^2 (m,), positive inside of the cones, also if it is rounding."""
+    """Return y_0^2 - |(y_1, y_2)|^2 (m,) for y (m, 3) in the cones: positive despite rounding."""
     length = np.linalg.norm(y[:, 1:], axis=1)
     inside = np.maximum(y[:, 0] - length, np.finfo(float).eps * y[:, 0])
     return np.asarray(inside * (y[:, 0] + length))
@@ -107,6 +112,8 @@ def reflected(y: Array) -> Array:
 
 def inverse_limit(y: Array, step: Array) -> Array:
     """Return 1 / t (m,) with the largest t for which y + t step is in its cone; 0 if any t is."""
+    # the hyperbolic rotation of y to (root, 0, 0) keeps the cone, and takes the step to
+    # (along, across): the end is in the cone if root + t along >= t |across|
     root = np.sqrt(determinants(y))
     unit = y / root[:, None]
     along = (reflected(unit) * step).sum(axis=1)
@@ -117,20 +124,25 @@ def inverse_limit(y: Array, step: Array) -> Array:
 class Scaling:
     """The symmetric maps W of Nesterov and Todd (1997) with W z = W^-1 y, for y and z in cones.
 
+    W is a size s times the hyperbolic rotation that takes (1, 0, 0) to a vector w, the axis, with
+    determinant 1: W^2 = s^2 (2 w w' - J) takes z to y, where J reflects y_1 and y_2.
+
     Attributes:
         determinant: (m,) determinant of W z.
     """
 
     def __init__(self, y: Array, z: Array) -> None:
         """Compute the maps for points y, z (m, 3) inside of the cones."""
-        of_y, of_z = determinants(y), determinants(z)
-        a, b = y / np.sqrt(of_y)[:, None], z / np.sqrt(of_z)[:, None]
+        # with y and z scaled to determinant 1, w is (y + J z) / sqrt(2 + 2 y'z)
+        det_y, det_z = determinants(y), determinants(z)
+        a, b = y / np.sqrt(det_y)[:, None], z / np.sqrt(det_z)[:, None]
         mean = np.sqrt(0.5 + 0.5 * np.maximum((a * b).sum(axis=1), 1.0))
         self._axis = (a + reflected(b)) / (2.0 * mean)[:, None]
-        self._size = ((of_y / of_z) ** 0.25)[:, None]
-        self.determinant = np.sqrt(of_y * of_z)
+        self._size = ((det_y / det_z) ** 0.25)[:, None]
+        self.determinant = np.sqrt(det_y * det_z)
 
     def _turned(self, v: Array, axis: Array) -> Array:
+        """Return v (m, 3) after the hyperbolic rotation that takes (1, 0, 0) to the axis (m, 3)."""
         along = (axis[:, 1:] * v[:, 1:]).sum(axis=1)
         turned: Array = v + (v[:, 0] + along / (1.0 + axis[:, 0]))[:, None] * axis
         turned[:, 0] = axis[:, 0] * v[:, 0] + along
@@ -185,8 +197,9 @@ def interior_point(
     def solution(blocks: Array, right: Array, missing: Array, soft: float) -> tuple[Array, Array]:
         S = constraints.softness_with(FIRST_SOFTNESS * soft * softness)
         maps = NodalMaps(movable, cone_map.between(blocks), movable)
-        return model.solve_between(maps, right, G, S, missing)
+        return model.solve_on_face(maps, right, G, S, missing)
 
+    # the start
     h = cone_map.constant
     identity = np.broadcast_to(np.eye(3), (len(h), 3, 3)).copy()
     x, c = solution(identity, -r0 - cone_map.transposed(h), constraints.values, 1.0)
@@ -201,20 +214,25 @@ def interior_point(
     complementarity = at_start = float(reductions.inner(y.ravel(), z.ravel())) / count
     centring = LARGEST_CENTRING
     for _ in range(MOST_STEPS):
+        # the right-hand side s m v^-1 - v, since v^-1 is J v / det v
         scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
         v = scaling.apply(z)
         target = centring * complementarity / scaling.determinant[:, None] * reflected(v) - v
-        derivative = identity.copy()  # of z - o; in discs and half-lines H ignores its first row
-        derivative[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
-        blocks = derivative @ scaling.inverse_square()
+        # E, the derivative of z - o by z; in discs and half-lines, H' ignores its first row
+        E = identity.copy()
+        E[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
+        # insert dz = W^-1 (target - W^-1 dy), where dy = H dx + lacking, in
+        # M dx - G dc - H'E dz = H'E z - (M x + r0 - G c), since z - o = E z
         lacking = cone_map.linear(x) + h - y
         change = scaling.invert(target - scaling.invert(lacking))
-        right = cone_map.transposed(np.einsum("mij,mj->mi", derivative, z + change))
+        right = cone_map.transposed(np.einsum("mij,mj->mi", E, z + change))
         right -= model.apply(x) + r0 - G @ c
         soft = float(np.sqrt(complementarity / at_start))
+        blocks = E @ scaling.inverse_square()
         dx, dc = solution(blocks, right, constraints.residual(x, c), soft)
         dy = cone_map.linear(dx) + lacking
         dz = scaling.invert(target - scaling.invert(dy))
+        # the longest step that stays in the cones
         limit = max(largest(inverse_limit(y, dy)), largest(inverse_limit(z, dz)))
         t = min(1.0, TO_BOUNDARY / max(limit, LEAST_DIVISOR))
         x, c, y, z = x + t * dx, c + t * dc, y + t * dy, z + t * dz

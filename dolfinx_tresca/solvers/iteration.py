@@ -43,23 +43,12 @@ def solve(
 ) -> DualSolution:
     """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
 
-    The default method finds multipliers x that minimise q over the section of the friction cones at
-    their own pressures. For Tresca's law, this section is Lambda. For Coulomb's law, x is a fixed
-    point: the solution of Tresca's problem with the slip bounds at the pressures of x (Haslinger
-    1983, Approximation of the Signorini problem with friction, obeying the Coulomb law).
-
-    The model M (`solve_model`) equals A on all vectors with known products. Newton's method
-    (`semismooth_newton`) solves the problem with M in place of A, without products. The product A d
-    is computed of the step d to this solution, the iteration takes the step, and M is updated with
-    the pair (d, A d).
-
-    For Tresca's law and bodies held by supports, the part of the step with the least q is taken, so
-    that q decreases in each step. (Theorem 38.1 also needs gradient projection steps, which GIMSSN
-    takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken.
+    The default method, `ModelNewton`, finds multipliers x that minimise q over the section of the
+    friction cones at their own pressures. For Tresca's law, this section is Lambda. For Coulomb's
+    law, x solves Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983).
 
     Raises:
-        InputError: a method of the paper, which is for slip bounds that are given, was chosen for
-            slip bounds that depend on the pressure.
+        InputError: a method of the paper was chosen for slip bounds that depend on the pressure.
     """
     if options.method in paper.ALGORITHMS:
         if problem.admissible.has_given_bounds:
@@ -79,10 +68,12 @@ class Iterate:
     product is then the difference of two gradients, and contains the errors of both.
 
     Attributes:
+        x: (size,) multipliers of the point.
+        c: (k,) multipliers of the constraints.
         r: (size,) A x - b, the gradient at the point without constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: least error that is requested of a gradient.
-        learned: whether the last step has changed the model of A, or the accuracy of gradients.
+        learned: whether the last step has changed the model of A, or accuracies; True at first.
     """
 
     x: Array
@@ -94,8 +85,8 @@ class Iterate:
         """Begin at zero, where no product is needed."""
         self._problem, self.finest, self.learned = problem, 0.0, True
         self._is_exact = problem.compliance.exact
-        # the requested error of a gradient is a part of the length of the last step; the solver
-        # for K does not reach less than `_least`
+        # the requested error of a gradient is the part `_part` of the last step's `_length`; the
+        # solver for K does not reach less than `_least`
         self._part, self._length, self._least = FORCING, 0.0, 0.0
         self.return_to_zero()
 
@@ -116,9 +107,10 @@ class Iterate:
         return Point(self.x, self.c, self.r - self._problem.constraints.columns @ self.c)
 
     def move(self, direction: Array, c: Array) -> None:
-        """Take a step, for which the product with A is computed. Collective.
+        """Take a step, or the part of it with the least q (`_part_to_take`). Collective.
 
-        The multipliers of the constraints are c at the end of the step.
+        The product of A and the `direction` (size,), the whole step, improves the model of A. The
+        multipliers of the constraints become c.
         """
         self.c = c
         if self._is_exact:
@@ -127,9 +119,8 @@ class Iterate:
             return
         else:
             self._length = self._energy_norm(direction)
-            r, error = self._gradient(
-                self.x + direction, max(self._part * self._length, self.finest)
-            )
+            accuracy = max(self._part * self._length, self.finest)
+            r, error = self._gradient(self.x + direction, accuracy)
             # the difference of gradients: errors of gradients do not accumulate over the steps
             product = r - self.r
             self.learned = self.store.add(direction, product, error + self.error)
@@ -141,12 +132,10 @@ class Iterate:
     def _new_product(self, direction: Array) -> Array:
         """Return A times a step (size,), exact to rounding. Collective.
 
-        Known products give A times a part of the step. The rest of the step is new, and is added to
-        the store with its product.
+        Known products give A times a part of the step; that of the rest is computed, and kept.
         """
         before, (new, product) = len(self.store), self.store.split(direction)
-        # subtracting the known part from a product of the whole direction would leave rounding
-        # errors that grow from pair to pair
+        # the product of the whole step, less the known part, would have rounding errors that grow
         if float(self._problem.inner(new, new)) > 0.0:
             added = self._problem.compliance.apply(new)
             self.store.add(new, added)
@@ -155,10 +144,9 @@ class Iterate:
         return product
 
     def _part_to_take(self, direction: Array, product: Array) -> float:
-        """Return the part of a step, at most 1, with the least q; 1 if q need not decrease.
+        """Return the part t <= 1 of a step d with the least q, t d'r + t^2 / 2 d'A d. Collective.
 
-        For given slip bounds and held bodies, q decreases in each step. The part is also 1 if the
-        change of q is rounding, while that of the gradient is not. Collective.
+        The result is 1 if q need not decrease (`ModelNewton`), or if its change is rounding.
         """
         problem = self._problem
         if not problem.admissible.has_given_bounds or len(problem.constraints) > 0:
@@ -173,8 +161,7 @@ class Iterate:
     def set_point(self, x: Array) -> None:
         """Set the point to initial multipliers x (size,), and compute the gradient. Collective.
 
-        Known products may determine the gradient, for example if a solve with another load has
-        ended at these multipliers.
+        Known products may determine it, if another solve has ended at these multipliers.
         """
         problem, b = self._problem, self._problem.b
         product, error = self.store.product(x)
@@ -182,24 +169,24 @@ class Iterate:
         wanted = max(relative * self._energy_norm(x), self.finest)
         self.x, self.r, self.error = x, product - b, error + problem.b_error
         if self.error > wanted:
-            # an accuracy below the error of b is useless: for tiny multipliers, the product would
-            # consist of the error of b only
+            # an accuracy below the error of b is useless: the product with tiny multipliers would
+            # consist of this error
             self.r, self.error = problem.gradient(x, max(wanted, problem.b_error))
             self.store.add(x, self.r + b, self.error + problem.b_error)
 
     def _energy_norm(self, x: Array) -> float:
-        """Return the energy norm of x (size,), with the model in place of A. Collective."""
+        """Return sqrt(x'M x) for x (size,), with the model M of A. Collective."""
         return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
 
     def _gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
-        """Return a gradient and its error; record the error if the solver cannot reduce it."""
+        """Return A x - b and its error; record the error if the solver cannot reduce it."""
         r, error = self._problem.gradient(x, accuracy)
         if error > SLACK * accuracy:
             self._least = max(self._least, error)
         return r, error
 
     def increase_accuracy(self) -> None:
-        """Compute the gradient and later products more accurately, if that is possible."""
+        """Compute the gradient and later products more accurately, if possible. Collective."""
         if not self._is_exact and self._part >= FULL_ACCURACY:
             self._part *= FORCING
             self.finest *= FORCING
@@ -207,18 +194,28 @@ class Iterate:
             self.refine(max(self._part * self._length, self.finest))
 
     def refine(self, accuracy: float) -> None:
-        """Compute the gradient again if its error exceeds `accuracy` and can be reduced."""
+        """Compute r again if its error exceeds `accuracy` and can be reduced. Collective."""
         if self.error > max(accuracy, SLACK * self._least):
             self.r, self.error = self._gradient(self.x, accuracy)
 
 
 class ModelNewton:
-    """The state of one solve: a point with its gradient, and the history.
+    """The default method, as the state of one solve.
+
+    Each iteration solves the problem with the model M of A, without products (`solve_model`), and
+    takes the step d to its solution. The product A d is computed, and M is updated with (d, A d).
+    The model at the start may be solved before the first iteration.
+
+    For Tresca's law and bodies held by supports, the part of the step with the least q is taken, so
+    that q decreases in each step. (Theorem 38.1 also needs gradient projection steps, which GIMSSN
+    takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken.
 
     Attributes:
+        iterate: the present point; set, as are `residual` and `history`, by `choose_start`.
+        residual: the natural residual of this solve.
+        history: the residuals of all iterates, and the criteria of convergence.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
-        deficit: deficit of friction with which the iteration ends; None if friction is strong
-            enough.
+        deficit: deficit of friction with which the iteration ends; None: friction is enough.
         completed_at: number of iterates when the rest of A was computed; 0 before.
     """
 
@@ -232,12 +229,12 @@ class ModelNewton:
     def run(self, start: Array) -> DualSolution:
         """Iterate until a status ends the iteration. Collective."""
         self.compute_first_products()
-        unused_target = target = self.choose_start(start)
+        solved_at_start = target = self.choose_start(start)
         iterate = self.iterate
         while (status := self.check_progress(target or iterate.point)) is None:
-            target, unused_target = unused_target or self.target(), None
+            target, solved_at_start = solved_at_start or self.target(), None
             iterate.move(target.x - iterate.x, target.c)
-            if (rho := self.proposed_rho()) < self.residual.rho:
+            if (rho := self.proposed_rho()) < self.residual.rho:  # sigma_max was underestimated
                 self.residual.set_rho(rho)
             progress = PROGRESS * self.history.residual_norms[-1]
             if not (iterate.learned or self.residual.norm_at(iterate.point) < progress):
@@ -246,9 +243,9 @@ class ModelNewton:
         return dataclasses.replace(solution, deficit=self.deficit)
 
     def compute_first_products(self) -> None:
-        """Compute a first product to bound sigma_max, unless some are known. Collective.
+        """Compute a product, from which sigma_max of A is estimated, if none is known. Collective.
 
-        The first product is that of b with the near field, if there is one, and otherwise with A.
+        It is the product of b with the near field, if there is one, and otherwise with A.
         """
         store, b = self.problem.compliance.known_products(), self.problem.b
         if isinstance(store, ProductStore):
@@ -264,9 +261,10 @@ class ModelNewton:
         A load step with bounds that depend on the pressure always begins at the start. There may be
         several fixed points, and a process continues with the nearest one. For example, friction
         keeps a wedge in place after the force that pushed it in is removed, although zero tractions
-        satisfy the law of friction as well. Return the model's solution there, if known.
+        satisfy the law of friction as well. The result is that of `find_constraint_multipliers`.
         """
         problem, constraints = self.problem, self.problem.constraints
+        # the scale of residuals, at zero; b is computed again if its error might hide a pressure
         self.iterate = iterate = Iterate(problem)
         self.residual = residual = NaturalResidual(problem, self.proposed_rho())
         if residual.zero_is_undecided(iterate.error):
@@ -274,8 +272,9 @@ class ModelNewton:
             iterate.return_to_zero()
             self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
+        # the start, moved to the nearest multipliers that are feasible and balance the loads
         start = problem.admissible.project(start)
-        if len(constraints) > 0:  # the nearest multipliers that balance the loads
+        if len(constraints) > 0:
             shift = balance(constraints, problem.admissible, start=start).shift
             start = problem.admissible.project(start + constraints.columns @ shift)
         if norm(problem, start) > 0.0:
@@ -283,9 +282,10 @@ class ModelNewton:
         target = self.find_constraint_multipliers()
         if self.options.rtol:
             iterate.finest = FORCING * self.history.residual_error
+        # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
-                residual.count(iterate.r + problem.b)
+                residual.count(iterate.r + problem.b)  # A x
             else:
                 iterate.return_to_zero()
                 residual.set_constraint_multipliers(iterate.c)
@@ -293,15 +293,18 @@ class ModelNewton:
         return target
 
     def find_constraint_multipliers(self) -> NewtonPoint | None:
-        """Solve the model at the start for the motions of floating bodies: b is known up to G c.
+        """Set the multipliers c of the constraints at the present point from a solve of the model.
 
-        The motions of the gradient projection step that balances the loads are the initial guess.
-        Return the solution of the model; None if no body floats, or the loads are zero.
+        They enter the gradient A x - b - G c at the point, and at zero, where it is the scale of
+        residuals. For floating bodies, c are rigid motions. The result is the solution of the
+        model; None if there are no constraints, or the loads are zero. Collective.
         """
         iterate, constraints, rho = self.iterate, self.problem.constraints, self.residual.rho
         is_at_rest = self.residual.zero_is_solution and norm(self.problem, iterate.x) == 0.0
         if len(constraints) == 0 or is_at_rest:
             return None
+        # the first guess of c: the gradient projection step P(x - rho (r - G c)) = P(y + G z), with
+        # y = x - rho r and z = rho c, satisfies the constraints if G'P(y + G z) + S z / rho = e
         x, r = iterate.x, iterate.r
         section = self.problem.section_at(x, r)
         shift = balance(constraints, section, x - rho * r, softness_factor=1.0 / rho).shift
@@ -312,16 +315,15 @@ class ModelNewton:
         return target
 
     def proposed_rho(self) -> float:
-        """Return the step length rho from the bound of sigma_max; any number without loads."""
+        """Return the step length rho from the estimate of sigma_max, or from 1 without loads."""
         return self.options.step_factor / (self.iterate.store.largest_eigenvalue_estimate or 1.0)
 
     def check_progress(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.
 
         Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
-        Collective.
-
-        At the pressures of `target`, the newest solution of the model, friction may be too weak.
+        Where slip bounds depend on the pressure, `deficit` then tells whether friction is too weak
+        at the pressures of `target`, the newest solution of the model. Collective.
         """
         iterate, history, residual = self.iterate, self.history, self.residual
         if not self.problem.compliance.exact:
@@ -330,6 +332,7 @@ class ModelNewton:
             iterate.refine(history.tolerable_error(iterate.point) if may_end else np.inf)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
             return status
+        # nothing moves and nothing is learned, or there is no progress for long
         norms = history.residual_norms[-2:]
         is_same = abs(np.diff(norms)).sum() <= ROUGH * norms[-1]
         stalls = (is_same and not iterate.learned) or history.is_idle(
@@ -342,6 +345,7 @@ class ModelNewton:
             return None
         if not stalls and not (misses and isinstance(self.iterate.store, WholeModel)):
             return None
+        # without a solution: find the cause, where bounds depend on the pressure
         if self.problem.admissible.has_given_bounds:
             return ContactStatus.STAGNATED
         self.deficit = friction_deficit(self.problem, target)
@@ -350,10 +354,7 @@ class ModelNewton:
         return ContactStatus.NO_FIXED_POINT
 
     def complete_products(self) -> bool:
-        """Compute the rest of A, unless it is known or too large; return whether it was computed.
-
-        Collective.
-        """
+        """Compute A unless it is known or too large; return whether it was computed. Collective."""
         is_known = isinstance(self.iterate.store, WholeModel)
         if is_known or not self.problem.compliance.complete_products():
             return False
@@ -362,7 +363,7 @@ class ModelNewton:
         return True
 
     def target(self) -> NewtonPoint:
-        """Return a solution with the model in place of A."""
+        """Return a solution with the model in place of A, and count `misses`. Collective."""
         tolerance = self.options.r_tol * self.residual.norm_at(self.iterate.point)
         target = solve_model(self.problem, self.iterate.point, self.residual, tolerance)
         self.misses = 0 if target.is_solved else self.misses + 1
@@ -372,11 +373,12 @@ class ModelNewton:
 def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
     """Return the motion along which friction is too weak for the constraints. Collective.
 
-    The slip bounds are those of the point. The result is None if some multipliers with these bounds
-    satisfy the constraints.
+    The slip bounds g are those of the point. The result is None if no body floats, or if some
+    multipliers with these bounds satisfy the constraints. Otherwise the shift z of `balance` grows
+    along a rigid motion whose work of loads e'z exceeds the sum of g |G z|, the work of friction.
     """
     constraints, section = problem.constraints, problem.section_at(point.x, point.r)
-    if len(constraints) == 0:  # no body floats
+    if len(constraints) == 0:
         return None
     balanced = balance(constraints, section)
     if balanced.satisfied:

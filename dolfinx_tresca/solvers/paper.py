@@ -28,12 +28,11 @@ def ssn(run: Run) -> DualSolution:
 
     The full derivative of the projection onto the circle makes the systems non-symmetric. Table
     38.1 of the paper compares its methods with this variant. Convergence is not guaranteed.
-
-    Collective.
     """
     problem = run.problem
 
     def step(tolerance: float) -> tuple[Array, Array]:
+        # Newton's equation (I - P' (I - rho A)) change = P(y) - x, y = x - rho r
         rho, y = run.history.residual.rho, run.target
         derivative = run.feasible_set.projection_derivative(y)
         change = _bicgstab(
@@ -51,18 +50,14 @@ def ssn(run: Run) -> DualSolution:
 def mssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with accurate inner solves.
 
-    The inner CG iterations end at 1e-12 times the residual at the start. The method converges fast
-    if most nodes stick. Convergence is not guaranteed: Lemma 38.1 only states that the limit, if
-    there is one, is the solution. Collective.
+    The inner CG iterations end at 1e-12 times the residual at the start. It converges fast if most
+    nodes stick, but need not converge; if it does, the limit is the solution (Lemma 38.1).
     """
     return run.iterate(run.symmetrized_step, lambda: 1e-12 * run.history.residual_norms[0])
 
 
 def imssn(run: Run) -> DualSolution:
-    """Minimise q over Lambda by ALGORITHM IMSSN: MSSN with the precision control of (Step 3.1).
-
-    The method is fast if it converges, but may cycle if many nodes stick. Collective.
-    """
+    """Minimise q by ALGORITHM IMSSN: MSSN with (Step 3.1). It may cycle if many nodes stick."""
     return run.iterate(run.symmetrized_step, adaptive_precision(run.history, run.options))
 
 
@@ -72,12 +67,11 @@ def gimssn(run: Run) -> DualSolution:
     Each iteration takes a gradient projection step, which alone gives the R-linear rate of
     Theorem 38.1, then CG steps on the free multipliers until one leaves Lambda. The method
     converges from any start, but slowly if many nodes slip: CG does not change directions of slip.
-
-    Collective.
     """
     problem, feasible_set = run.problem, run.feasible_set
 
     def step(tolerance: float) -> tuple[Array, Array]:
+        # the gradient projection step, with rho < 2 / sigma_max
         residual = run.history.residual
         while True:
             move = feasible_set.project(run.target) - run.x
@@ -85,7 +79,7 @@ def gimssn(run: Run) -> DualSolution:
             curvature = float(problem.inner(product, move) / problem.inner(move, move))
             if curvature * residual.rho < 2.0:
                 break
-            # the Lanczos iteration missed an eigenvalue whose vector is almost orthogonal to b
+            # `largest_eigenvalue` missed an eigenvalue whose vector is almost orthogonal to b
             residual.set_rho(run.options.step_factor / curvature)
         projected = run.x + move
 
@@ -98,6 +92,7 @@ def gimssn(run: Run) -> DualSolution:
                 <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
             )
 
+        # CG steps of `active` multipliers, while all others stay
         active, r = feasible_set.face(run.target).active, run.r + product
         change, image = conjugate_gradients(problem, active, r, tolerance, feasible=feasible)
         return feasible_set.project(projected + change), r + image
@@ -142,10 +137,8 @@ class Run:
         """Take steps until a status ends the iteration, and return the solution. Collective.
 
         The convergence of the projection of x onto Lambda is checked, which costs a product if x is
-        outside of Lambda.
-
-        The function `step` returns the next multipliers and their gradient, (size,) each, given the
-        tolerance of its inner iteration, which is the result of `precision`.
+        outside of Lambda. The function `step` returns the next multipliers and their gradient,
+        (size,) each, given the result of `precision`, the tolerance of its inner iteration.
         """
         problem, history = self.problem, self.history
         while True:
@@ -162,7 +155,11 @@ class Run:
             self.x, self.r = step(precision())
 
     def symmetrized_step(self, tolerance: float) -> tuple[Array, Array]:
-        """Return the result of Steps 2 and 3 of the paper's algorithm."""
+        """Return the multipliers (size,) after Steps 2 and 3 of MSSN, and their gradient (size,).
+
+        Open multipliers become zero, and slipping ones go to their circles in the directions of
+        the gradient step; CG then minimises q over the multipliers of pressed and sticking nodes.
+        """
         problem, target = self.problem, self.target
         face = self.feasible_set.face(target)
         fixed = np.where(face.active, self.x, self.feasible_set.project(target))
@@ -225,18 +222,14 @@ def conjugate_gradients(
     *,
     feasible: Callable[[Array], bool] = lambda step: True,
 ) -> tuple[Array, Array]:
-    """Minimise q over steps s of the free multipliers, (38.14).
+    """Minimise q over steps s of the free multipliers, (38.14). Collective.
 
-    Collective. The result does not say which of the limits ended the iteration: the caller judges
-    the step.
-
-    The gradient r is that at s = 0. The iteration ends when the norm of r + A s in the free rows is
-    at most the tolerance, or before the first step s for which `feasible` is False, equally on all
-    ranks (CGM_feas).
+    The `gradient` r is that at s = 0. The iteration ends when the norm of r + A s in the free rows
+    is at most the tolerance, before the first step s for which `feasible` is False, equally on all
+    ranks (CGM_feas), or after `MOST_PRODUCTS`; the result does not say which.
 
     Returns:
-        s (size,), zero where multipliers are not free, and A s (size,) in all rows, from the
-        recurrence.
+        s (size,), zero where multipliers are not free, and A s (size,) in all rows.
     """
     step, product, direction = (np.zeros_like(gradient) for _ in range(3))
     residual, before = np.where(free, -gradient, 0.0), np.inf
@@ -259,7 +252,10 @@ def conjugate_gradients(
 def _bicgstab(
     problem: DualProblem, image: Callable[[Array], Array], right: Array, tolerance: float
 ) -> Array:
-    """Return x with |right - image(x)| <= tolerance, or the best x of `MOST_PRODUCTS`."""
+    """Return x with |right - image(x)| <= tolerance, or the best x of `MOST_PRODUCTS`.
+
+    The method is BiCGStab (van der Vorst 1992) for the linear function `image`. Collective.
+    """
     inner, x = problem.inner, np.zeros_like(right)
     direction: Array = right
     residual = shadow = right

@@ -89,8 +89,7 @@ class DualProblem(InnerProduct, Protocol):
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
 
-        The accuracy is the requested error; if the solver for K cannot reach it, the error is
-        larger.
+        The error exceeds the requested `accuracy` if the solver for K cannot reach it.
         """
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
@@ -110,10 +109,7 @@ class DualProblem(InnerProduct, Protocol):
         """
 
     def discretisation_error(self, x: Array, c: Array) -> float:
-        """Return an estimate of the relative error of the mesh in the energy norm. Collective.
-
-        An approximate solution is sufficient.
-        """
+        """Return an estimate of the relative error of the mesh in the energy norm. Collective."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +154,7 @@ class DualSolution:
         wanted: requested relative error in the energy norm; inf if residuals were the criterion.
         displacement_tolerance: tolerable error of the displacement in the energy norm, not
             relative; None: determined by the options of the solver for K.
-        deficit: motion along which friction is too weak for the constraints; None if friction is
-            not known to be too weak.
+        deficit: motion along which friction is too weak for the constraints, if known.
     """
 
     multipliers: Array

@@ -17,29 +17,25 @@ from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 
 #: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
-#: multipliers. With this softness, the linear systems have a solution even if the constraints have
-#: none.
+#: multipliers. With it, linear systems have a solution even if the constraints have none.
 LEAST_SOFTNESS = 1e-10
 
-
 #: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
-#: where a bound of friction is nearly zero, would hide the other equations of its node. With 1e150,
-#: a slip bound of 1e-300 overflows.
+#: where a slip bound is nearly zero, would hide the node's other equations. (1e150 overflows.)
 STIFFEST = 1e8
 
 
 @dataclass(frozen=True)
 class NodalMaps:
-    """The maps T and R in the equations T M s + R s - T G c = T r and G's + S c = e.
+    """The maps T and R in the equations T M s + R s - T G c = T a and G's + S c = e.
 
-    Here M is the model of A, and G and S belong to equality constraints. Such equations determine
-    Newton steps s on a face, and steps towards an adjoint solution. The maps are sparse matrices
-    (size, size), which couple only multipliers of the same node.
+    Here M is the model of A, G and S belong to equality constraints, and a and e are given. These
+    equations determine Newton steps s on a face, and steps towards an adjoint solution. The maps
+    are sparse matrices (size, size), which couple only multipliers of the same node.
 
     Attributes:
         test: T, applied to both sides of the equation.
-        added: R, such as the curvature of the circles of slipping nodes, and the identity at
-            multipliers that do not change.
+        added: R, such as the curvature of slipping nodes' circles, and D at multipliers that stay.
         inverse: (T D + R)^-1 T with the diagonal D of the model.
     """
 
@@ -56,13 +52,12 @@ class NodalMaps:
         With the projector P onto the face, the diagonal C of curvatures, and the changes Q and H of
         slip bounds with the pressure and with the slip, s solves
 
-            P (M s + C s - G c) = P r,  s - (I + Q) P s = H (r - M s + G c).
+            P (M s + C s - G c) = P a,  s - (I + Q) P s = H (a - M s + G c).
 
         Let n be the unit vector in the normal row of a slipping node, t its unit vector `radial`,
         and g' and h the derivatives of its bound with respect to pressure and slip. Then Q is the
-        sum of g' t n', and H that of h t t', over all nodes: multipliers follow their bounds. A
-        change of a bound itself changes the slip, by -D times the change. With D in place of M,
-        Q P s and H r are therefore divided by 1 + h D.
+        sum of g' t n', and H that of h t t', over all nodes: multipliers follow their bounds. The
+        first equation plus D times the second has T = P + D H and R = P C + D (I - P - Q P).
 
         The diagonal (size,) is D; `inverse` is exact if D is the same for all degrees of freedom of
         a friction disc. The stiffness (size,) is C >= 0, the same for all degrees of freedom of a
@@ -71,11 +66,13 @@ class NodalMaps:
         stiffness = np.minimum(stiffness, STIFFEST * diagonal)
         weight, radial, free = np.reciprocal(diagonal + stiffness), face.radial, face.free
         slope, by_slip = cones.slopes(x, face.slip)
+        # `inverse`: with D for M, P s = P a / (D + C), and t's = (g' n's + h t'a) / (1 + h D)
         damping = 1.0 + by_slip * cones.disc_means(diagonal)
         damping[damping == 0.0] = 1.0
         by_pressure = free * cones.at_normals(slope)
         damped = weight * free * cones.at_normals(slope / damping)
         damped += face.along_radius(by_slip / damping)
+        # P is the diagonal `free` less t t'; each pair (v, w) of vectors adds v w'
         matrix, on_radius = cones.nodal_matrix, diagonal * radial
         along_slip = on_radius, face.along_radius(by_slip)
         fixed = on_radius, radial - by_pressure
@@ -101,8 +98,7 @@ class BlockBFGSModel:
     all combinations of these vectors (M W = Y); on other vectors, it has the magnitude of D, an
     approximation of diag(A). M is the block BFGS update of D with W and Y; the term Y Y' alone is a
     Nystroem approximation of A. Applying or inverting M needs no product with A. D may be replaced
-    by another model, such as the model of an earlier A; M is then the block BFGS update of that
-    model.
+    by another model, such as the model of an earlier A; M is then the update of that model.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
@@ -123,18 +119,18 @@ class BlockBFGSModel:
         """
         self._inner, self._agreed = reductions.inner, reductions.from_first_rank
         self.diagonal: Array = diagonal if base is None else base.diagonal
-        # multiplied out, M = D + U C U' with U = (Y, D W)
+        # multiplied out, M = D + U E U' with U = (Y, D W) and E = (I + W'D W, -I; -I, 0)
         image = diagonal[:, None] * W if base is None else base.apply(W)
         identity = np.eye(W.shape[1])
         zero = np.zeros_like(identity)
         gram = identity + self._inner(W, image)
         self._U = np.column_stack([Y, image])
-        self._C = np.block([[gram, -identity], [-identity, zero]])
-        self._C_inverse = np.block([[zero, -identity], [-identity, -gram]])
+        self._E = np.block([[gram, -identity], [-identity, zero]])
+        self._E_inverse = np.block([[zero, -identity], [-identity, -gram]])
         if base is not None:
             self._U = np.column_stack([base._U, self._U])
-            self._C = block_diag(base._C, self._C)
-            self._C_inverse = block_diag(base._C_inverse, self._C_inverse)
+            self._E = block_diag(base._E, self._E)
+            self._E_inverse = block_diag(base._E_inverse, self._E_inverse)
         # square root of the mean of D, weighted by D: it scales the constraints so that all rows of
         # the matrix that Woodbury's formula inverts have a similar size
         total = float(self._inner(self.diagonal, np.ones_like(self.diagonal)))
@@ -144,32 +140,35 @@ class BlockBFGSModel:
     @property
     def model_diagonal(self) -> Array:
         """diag(M), (size,)."""
-        return np.asarray(self.diagonal + ((self._U @ self._C) * self._U).sum(axis=1))
+        return np.asarray(self.diagonal + ((self._U @ self._E) * self._U).sum(axis=1))
 
     def apply(self, x: Array) -> Array:
         """Return M x for x of shape (size,) or (size, columns). Collective."""
-        result: Array = (self.diagonal * x.T).T + self._U @ (self._C @ self._inner(self._U, x))
+        result: Array = (self.diagonal * x.T).T + self._U @ (self._E @ self._inner(self._U, x))
         return result
 
-    def solve_between(
+    def solve_on_face(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
-        """Return s and c, which solve the equations of `NodalMaps`. Collective.
+        """Return s (size,) and c (k,), which solve the equations of `NodalMaps`. Collective.
 
-        Woodbury's formula inverts both equations at once. The tiny `LEAST_SOFTNESS` is added to S,
-        so that the system has a solution even if the second equation has none.
+        The right-hand sides are a = `right` (size,) and e = `missing` (k,). The matrix Z = (U, G)
+        has the unknown coefficients y = (E U's, -c): with J = `maps.inverse`, s = J a - J Z y, and
 
-        The right-hand sides are r (size,), and e (k,), which is `missing`.
+            (Z'J Z + (E^-1, 0; 0, S)) y = Z'J a - (0, e)     (Woodbury's formula).
+
+        In the code, G and e are multiplied by a unit, and S by its square. `LEAST_SOFTNESS` is
+        added, so that the system has a solution even if the second equation has none.
         """
         unit = self._unit
-        columns = np.column_stack([self._U, unit * G.toarray()])
-        scaled, without_pairs = maps.inverse @ columns, maps.inverse @ right
-        capacitance = self._inner(columns, scaled)
+        Z = np.column_stack([self._U, unit * G.toarray()])
+        scaled, without_pairs = maps.inverse @ Z, maps.inverse @ right
+        capacitance = self._inner(Z, scaled)
         k = len(missing)
         rank = len(capacitance) - k
-        capacitance[:rank, :rank] += self._C_inverse
+        capacitance[:rank, :rank] += self._E_inverse
         capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness.toarray()
-        wanted = self._inner(columns, without_pairs) - np.append(np.zeros(rank), unit * missing)
+        wanted = self._inner(Z, without_pairs) - np.append(np.zeros(rank), unit * missing)
         coefficients = self._agreed(solve_or_fit(capacitance, wanted))
         return without_pairs - scaled @ coefficients, -unit * coefficients[rank:]
 
@@ -184,8 +183,7 @@ NEW_ENERGY = 1e-10
 #: of B are linearly dependent, since A is then singular.
 NULL_ENERGY = 1e-12
 
-#: A product is kept if its new part, which known products do not give, has an energy norm above
-#: this multiple of the product's error.
+#: A product is kept if its new part has an energy norm above this multiple of its error.
 RESOLVED = 1.5
 
 #: A pair (w, A w) is kept for later solves if its error, in the norm sqrt(e'A^-1 e), is at most
@@ -193,16 +191,14 @@ RESOLVED = 1.5
 #: one of some hundred random load steps with multigrid and rtol=1e-8 ends with STAGNATED.
 LASTING_ERROR = 0.15
 
-#: Rounding error of a product, relative to the product's norm, and rounding error of q, relative to
-#: |lambda| |r| (Euclidean norms).
+#: Rounding error of a product, relative to its norm, and of q, relative to |lambda| |r|.
 PRODUCT_ROUNDING = 4 * float(np.finfo(float).eps)
 
 
 class ProductStore:
     """Pairs (w, A w) from all products so far: the columns of W and Y = A W, with W'A W = I.
 
-    Pairs remain valid in all Newton steps and load steps and for all slip bounds, since A stays the
-    same.
+    Pairs remain valid for all loads and slip bounds, since A stays the same.
 
     Attributes:
         W: (size, k) vectors.
@@ -257,9 +253,9 @@ class ProductStore:
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
         """Add a pair (x, A x), unless its new part is smaller than errors or rounding. Collective.
 
-        The new part is the part of the pair that does not follow from known pairs. The error is
-        given in the norm sqrt(e'A^-1 e), without rounding errors. The result is True if the new
-        part exceeds its error; the pair was then added, unless its new part may be rounding.
+        The new part is what is left of the pair without its parts along known pairs. The `error` of
+        A x is given in the norm sqrt(e'A^-1 e), without rounding errors. The result is True if the
+        new part exceeds its error; the pair was then added, unless its new part may be rounding.
         """
         inner = self._reductions.inner
         energy = float(inner(x, product))
@@ -279,7 +275,7 @@ class ProductStore:
         return True
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x that is A-orthogonal to all pairs, and A times the rest of x."""
+        """Return the part of x that is A-orthogonal to W, and A times the rest. Collective."""
         product = np.zeros_like(x)
         for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
@@ -290,9 +286,9 @@ class ProductStore:
     def product(self, x: Array) -> tuple[Array, float]:
         """Return an approximation of A x from the pairs, and its error. Collective.
 
-        This is A times the part of x in the span of the pairs. The error, in the norm sqrt(e'A^-1
-        e), contains the errors of the pairs, and the energy of the other part of x, computed with
-        diag(A) in place of A.
+        The approximation is A times the part of x in the span of W. The error, in the norm
+        sqrt(e'A^-1 e), contains the errors of the pairs, and the energy of the other part of x,
+        computed with diag(A) in place of A.
         """
         new, product = self.split(x)
         inner = self._reductions.inner
@@ -301,32 +297,36 @@ class ProductStore:
         return product, float(np.hypot(error, np.sqrt(energy)))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
-        """Return c (k,), x - W c and A (x - W c), where x - W c has no parts along the pairs.
+        """Return a (k,), x - W a and A (x - W a), where x - W a is A-orthogonal to W. Collective.
 
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
         errors of the first. Pairs with errors are not orthonormal and need more passes. If the
         process always ended after two passes, parts along known pairs would remain and be added as
-        new pairs, until there are more pairs than unknowns. With exact pairs, the parts are at most
-        the multiple of `ROUNDING` after two passes.
+        new pairs, until there are more pairs than unknowns.
         """
         inner = self._reductions.inner
         coefficients: Array = np.zeros(len(self))
         for number in range(MOST_STEPS):
-            c = inner(self.Y, x)
+            along = inner(self.Y, x)
             energy = max(float(inner(x, product)), 0.0)
-            if number >= 2 and np.linalg.norm(c) <= 16.0 * ROUNDING * np.sqrt(energy):
+            if number >= 2 and np.linalg.norm(along) <= 16.0 * ROUNDING * np.sqrt(energy):
                 break
-            x, product, coefficients = x - self.W @ c, product - self.Y @ c, coefficients + c
+            x, product = x - self.W @ along, product - self.Y @ along
+            coefficients = coefficients + along
         return coefficients, x, product
 
-    def _append(self, x: Array, product: Array, error: float, energy: float) -> None:
-        """Keep a pair; reduce the number of pairs to half the capacity if it is too large."""
-        self.scale = min(1.0, energy / float(self._reductions.inner(x, self._diagonal * x)))
+    def _append(self, new: Array, product: Array, error: float, energy: float) -> None:
+        """Keep the new part of a pair, divided by the root of its energy. Collective.
+
+        If there are too many pairs, their number is reduced to half the capacity.
+        """
+        self.scale = min(1.0, energy / float(self._reductions.inner(new, self._diagonal * new)))
         length = np.sqrt(energy)
-        self.W = np.column_stack([self.W, x / length])
+        self.W = np.column_stack([self.W, new / length])
         self.Y = np.column_stack([self.Y, product / length])
         self.errors = np.append(self.errors, error / length)
         if len(self) > self.capacity:
+            # eigenvectors of the largest eigenvalues of Y'Y, with which W stays A-orthonormal
             _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
             kept = self._reductions.from_first_rank(vectors[:, -(self.capacity // 2) :])
             self.W, self.Y = self.W @ kept, self.Y @ kept
@@ -339,21 +339,24 @@ class ProductStore:
 
     @property
     def largest_eigenvalue_estimate(self) -> float:
-        """An estimate from below, a Ritz value; 0 if nothing is known. Collective."""
-        of_near_field = 0.0 if self.near is None else self.near.largest_eigenvalue_estimate
+        """An estimate of sigma_max of A from below, a Ritz value; 0 without pairs. Collective."""
+        near_estimate = 0.0 if self.near is None else self.near.largest_eigenvalue_estimate
         if len(self) == 0:
-            return of_near_field
+            return near_estimate
         # for exact pairs, the eigenvalues of Y'Y are the Ritz values of A on the span of A^(1/2) W
         values, vectors = eigh(self._reductions.inner(self.Y, self.Y))
-        # Y v = A W v + e has |Y v|^2 <= sigma_max (|W v| + |e|)^2 in energy norms, and
-        # |W v| <= 1 + |e| follows from 1 = v'W'Y v. Errors of pairs are correlated: their bounds
-        # are added
+        # an eigenvector v of Y'Y with errors e, Y v = A W v + e, has the value v'Y'Y v, at most
+        # sigma_max (sqrt(v'W'A W v) + |e|)^2 with |e| = sqrt(e'A^-1 e); and 1 = v'W'Y v makes the
+        # root at most 1 + |e|. Errors of pairs are correlated: their bounds are added
         errors = self.errors @ np.abs(vectors)
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
-        return max(float(least.max()), of_near_field)
+        return max(float(least.max()), near_estimate)
 
     def apply_with_near(self, x: Array) -> Array:
-        """Return M x (size,) with the near field D in `model`; keep the product. Collective."""
+        """Return M x (size,) with the near field D in `model`; keep the product D x. Collective.
+
+        With the part v of x that is A-orthogonal to W, M x is A (x - v) + (I - Y W') D v.
+        """
         assert self.near is not None
         new, product = self.split(x)
         image = self.apply_near(new)
@@ -383,10 +386,8 @@ class WholeModel:
     corners of bricks that touch two other bricks; the shift s makes M positive definite. Since
     gradients are computed with A, the iteration with M is a proximal point method (Rockafellar
     1976): its solution is the solution for A, and the error falls by the factor s / (s + sigma) in
-    each iteration, where sigma is the least positive eigenvalue of A.
-
-    A direct solver replaces Woodbury's formula of `BlockBFGSModel`. Every rank has the whole
-    matrix.
+    each iteration, where sigma is the least positive eigenvalue of A. A direct solver replaces
+    Woodbury's formula of `BlockBFGSModel`. Every rank has the matrix.
 
     Attributes:
         diagonal: (size,) diag(A).
@@ -452,17 +453,17 @@ class WholeModel:
         values = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
         return float(self._reductions.from_first_rank(values)[0])
 
-    def solve_between(
+    def solve_on_face(
         self, maps: NodalMaps, right: Array, G: csr_array, softness: csr_array, missing: Array
     ) -> tuple[Array, Array]:
-        """Return s and c, which solve the equations of `NodalMaps`. Collective.
+        """Return s and c as `BlockBFGSModel.solve_on_face`, by one linear system. Collective.
 
         `LEAST_SOFTNESS`, divided by the mean of diag(A), is added to the diagonal of S, so that the
         equations have a solution even if the constraints have none.
         """
         unit, n, k = self.unit, len(self), len(missing)
         T, R = self._whole(maps.test), self._whole(maps.added)
-        # all other rows have a zero right-hand side and no coupling: s is zero there
+        # other rows have no T and only their diagonal in R, hence a zero right-hand side: s = 0
         moving = np.flatnonzero((np.diff(T.indptr) > 0) | (np.diff(R.indptr) > 1))
         T, R = T[moving], R[moving][:, moving]
         matrix = ((T @ self._shifted)[:, moving] + R) / unit
@@ -488,7 +489,7 @@ class WholeModel:
         return self._reductions.total(result)
 
     def _whole(self, own: csr_array) -> csr_array:
-        """Return the matrix (n, n) whose diagonal blocks are those of each rank. Collective."""
+        """Return the matrix (n, n) with diagonal blocks `own`, less stored zeros. Collective."""
         own = csr_array(own)
         own.eliminate_zeros()
         columns = own.indices + self._mine.start

@@ -23,8 +23,7 @@ from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 
 #: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
 #: model. With the value 1, as for convex problems, each node would take the state that minimises q
-#: for fixed multipliers of the other nodes; with a smaller value, nodes change their states less
-#: often.
+#: for fixed multipliers of the other nodes; with a smaller one, states change less often.
 RHO_DIAGONAL = 0.2
 
 #: Limit on the number of halvings of a step that does not reduce the residual. A step of a body
@@ -57,7 +56,7 @@ class NewtonPoint(Point):
 
     Attributes:
         residual: residual as an energy.
-        is_solved: whether Newton's method has solved the equations.
+        is_solved: whether Newton's method has solved the equations, set by `newton_solution`.
     """
 
     residual: float
@@ -84,39 +83,37 @@ class SemismoothNewton:
     system is symmetric. The convergence is quadratic once the active sets no longer change
     (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
     node also moves outwards with its pressure: s is replaced by P s + Q s on the left-hand side,
-    where Q contains the slope of g. If g also depends on the slip v, which is the component of -r
-    along the radius of the disc, the radial component of s solves s = Q s + h (change of v) with
-    the slope h = dg/dv.
+    where Q contains the slope of g. If g also depends on the slip v, the component of -r along the
+    radius of the disc, the radial component of s solves s = Q s + h (change of v), h = dg/dv.
 
     Residuals are energies: those of multipliers are weighted by the root of D, those of a
     constraint by its compliance, the sum of G^2 / D. A step is halved until it reduces the residual
     by a tenth of what it promises. If no part of a step does, contact on this face holds some
     bodies only weakly, or not at all: then S is softened for the steps that follow, as in the
-    method of Levenberg and Marquardt. After good steps, S is stiffened again.
-
-    Methods are collective, and need no product with A.
+    method of Levenberg and Marquardt. After good steps, S is stiffened again. Methods are
+    collective, and need no product with A.
     """
 
     def __init__(self, problem: DualProblem, model: Model) -> None:
-        """Prepare steps."""
+        """Compute step lengths, and the scales of softness, residuals and rounding. Collective."""
         self.problem, self.model = problem, model
         self.mean_diagonal = problem.admissible.mean_over_discs(model.model_diagonal)
         self.rho = np.asarray(RHO_DIAGONAL / self.mean_diagonal)
         ones, G = np.ones_like(self.mean_diagonal), problem.constraints.columns
         sums = [float(problem.inner(ones, values)) for values in (self.mean_diagonal, ones)]
-        self.softness = PROXIMAL * sums[1] / sums[0] if sums[0] > 0.0 else 0.0
-        compliance = problem.inner(G * G, 1.0 / self.mean_diagonal)
+        self.softness = PROXIMAL * sums[1] / sums[0] if sums[0] > 0.0 else 0.0  # of the first step
+        compliance = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) of each constraint
         self.compliance = np.where(compliance > 0.0, compliance, 1.0)
-        self.load = self.energy(self.rho * problem.b, problem.constraints.values)
+        self.load = self.energy(self.rho * problem.b, problem.constraints.values)  # residual at 0
         self.rounding = ROUNDING * self.load
 
     def energy(self, change: Array, unbalanced: Array) -> float:
-        """Return the residual of all equations, from those of multipliers and of constraints."""
+        """Return the norm of the residuals `change` (size,) and `unbalanced` (k,) as an energy."""
         square = float(self.problem.inner(change, self.mean_diagonal * change))
         return float(np.sqrt(square + unbalanced @ (unbalanced / self.compliance)))
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
-        """Return a point with the residual of its projection onto the friction cones."""
+        """Return a point (x, c, r) whose `residual` is that of its projection onto the cones."""
         admissible, rho = self.problem.admissible, self.rho
         projected = admissible.at_point(x, r).project(x)
         gradient = r + self.model.apply(projected - x)
@@ -132,49 +129,34 @@ class SemismoothNewton:
         The number `softness` is added to S for the change of c only, as in a proximal point method:
         solutions of the problem remain solutions.
         """
-        constraints = self.problem.constraints
-        settled, maps, right = self.equations(point)
-        change, change_c = self.model.solve_between(
-            maps,
-            right,
-            constraints.columns,
-            constraints.softness_with(softness),
-            constraints.residual(settled, point.c),
-        )
-        return settled + change - point.x, change_c
-
-    def equations(self, point: NewtonPoint) -> tuple[Array, NodalMaps, Array]:
-        """Return the multipliers on the face, where a step begins, its `NodalMaps`, and its r.
-
-        This is minus the gradient, less the present slip along the radii of discs, so that H of
-        `NodalMaps.on_face` multiplies the change of slip.
-        """
-        x, r = point.x, point.r
+        x, r, constraints = point.x, point.r, self.problem.constraints
         target = x - self.rho * r
         admissible = self.problem.admissible.at_point(x, r, target)
         section = admissible.section(x)
         face = section.face(target)
+        # the step begins at the point of the face
         settled = section.on_face(x, face)
         r = r + self.model.apply(settled - x)
         diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
-        maps = NodalMaps.on_face(admissible, settled, face, diagonal, stiffness)
-        return settled, maps, -r - admissible.slip_along(face)
+        change, change_c = self.model.solve_on_face(
+            NodalMaps.on_face(admissible, settled, face, diagonal, stiffness),
+            -r - admissible.slip_along(face),  # such that H multiplies the change of slip
+            constraints.columns,
+            constraints.softness_with(softness),
+            constraints.residual(settled, point.c),
+        )
+        return settled + change - x, change_c
 
     def solve(
         self, start: NewtonPoint, tolerance: float, most_steps: int = MOST_STEPS
     ) -> NewtonPoint:
-        """Return the point with the least residual.
+        """Take steps from the start, and return the point with the least residual.
 
-        The method ends
+        A point with at most the residual `tolerance` counts as a solution. The method ends
 
-        - once the residual is rounding, if A is known whole or there are constraints, else once it
-          is below the tolerance,
-        - once the residual is below the tolerance, and a step has made no progress, or
+        - at a solution; but if A is known whole or there are constraints, only once a step from it
+          makes no progress, or the residual is rounding; or
         - after `PATIENCE` steps without progress, or after `most_steps` steps.
-
-        `newton_solution` sets `is_solved` of the result.
-
-        A point with at most the residual `tolerance` counts as a solution.
         """
         point = best = start
         softness, idle = self.softness, 0
@@ -186,10 +168,11 @@ class SemismoothNewton:
             # a watchdog: from time to time a whole step, even if the residual grows
             halvings = 0 if (idle + 1) % SHORT_PATIENCE == 0 else MOST_HALVINGS
             dx, dc = self.step(point, softness)
-            # if the face did not change, constraints that are soft in this step would keep a
-            # residual, and all other residuals would vanish: this is what the step promises
+            # the step promises the residual that would be left if the face did not change: that of
+            # the constraints, which are soft in this step, while all other residuals would vanish
             unbalanced = self.problem.constraints.residual(point.x + dx, point.c + dc)
             promised = self.energy(np.zeros_like(dx), unbalanced)
+            # a tenth of the promised decrease, as PROGRESS is 0.9
             wanted = PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
             point = self._part_of_step(point, dx, dc, wanted, halvings)
             softness *= SOFTER if point.residual > wanted else 1.0 / SOFTER
@@ -200,9 +183,9 @@ class SemismoothNewton:
     def _part_of_step(
         self, point: NewtonPoint, dx: Array, dc: Array, wanted: float, most_halvings: int
     ) -> NewtonPoint:
-        """Return the end of the longest part 2^-n of a step whose residual is small enough.
+        """Return the end of the longest part 2^-n of a step with at most the residual `wanted`.
 
-        If there is none, the end with the least residual is returned.
+        If there is none with n <= `most_halvings`, the end with the least residual is returned.
         """
         dr = self.model.apply(dx) - self.problem.constraints.columns @ dc
         trials = []
@@ -217,15 +200,17 @@ class SemismoothNewton:
 def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonPoint:
     """Return an approximate solution of the contact problem with a model of A. Collective.
 
-    Needs no product with A.
+    Newton's method begins at the start. Where A is known whole, it begins again at points of the
+    interior-point method if the residual has not become small enough.
     """
     newton = SemismoothNewton(problem, model)
     guess = newton.point(start.x, start.c, start.r)
-    enough = tolerance = max(SOLVED * guess.residual, newton.rounding)
+    # the residual at which steps end, and the one with which the result counts as solved
+    tolerance = enough = max(SOLVED * guess.residual, newton.rounding)
     if not isinstance(model, WholeModel):
         point = newton.solve(guess, tolerance)
     else:
-        # after more progress than this, Newton's method goes on in the next iteration
+        # a tenth is enough, since the next iteration has the same model, and goes on
         enough = max(FORCING * guess.residual, newton.rounding)
         tolerance = max(tolerance, min(PRECISE * newton.load, enough))
         # far from the solution, no more steps than the interior-point method takes
@@ -237,6 +222,7 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
                 point = end if end.residual < point.residual else point
                 if point.residual <= enough:
                     break
+    # the point in the cones to which the residual belongs (`SemismoothNewton.point`)
     x = problem.admissible.at_point(point.x, point.r).project(point.x)
     r = point.r + model.apply(x - point.x)
     return NewtonPoint(x, point.c, r, point.residual, point.residual <= enough)
@@ -247,11 +233,11 @@ def interior_guesses(
 ) -> Iterator[NewtonPoint]:
     """Yield points of `interior_point`, from which Newton's method may begin. Collective.
 
-    The first is near a solution of the problem, each other one near that of Tresca's problem with
-    the bounds of the point before.
+    The first point is near a solution of the problem. If slip bounds depend on the pressure, each
+    further point is near the solution of Tresca's problem with the bounds at the point before.
     """
     problem, G = newton.problem, newton.problem.constraints.columns
-    r_at_zero = start.r - model.apply(start.x) + G @ start.c
+    r_at_zero = start.r - model.apply(start.x) + G @ start.c  # -b, in the model
     x, r = start.x, np.zeros_like(start.r)
     for number in range(1 if problem.admissible.has_given_bounds else GUESSES):
         admissible = problem.admissible.at_point(x, r)
@@ -267,15 +253,15 @@ def solve_model(
 ) -> NewtonPoint:
     """Return an approximate solution of the dual problem with the model M in place of A.
 
-    With known products Y = A W, M = Y Y' + (I - Y W') D (I - W Y') contains the near field D where
-    the basic model has a diagonal. The error of M is then smaller by an order of magnitude, but
-    there is no formula for the inverse of M on a face. Hence D is itself approximated by D~, a
-    low-rank model made of known products with D. Each iteration solves the problem for M with D~ in
-    place of D. It then computes a product with D, which gives the residual for M and improves D~. A
-    product with D costs one solve with a small matrix, and no solve with K. Products with D are
-    kept until the products with A are dropped. Collective.
+    Without a near field, this is `newton_solution`. With a near field D, and known products Y = A
+    W, M = Y Y' + (I - Y W') D (I - W Y') contains D where the basic model has a diagonal. The error
+    of M is then smaller by an order of magnitude, but there is no formula for the inverse of M on a
+    face. Hence D is itself approximated by D~, a low-rank model made of known products with D. Each
+    iteration solves the problem for M with D~ in place of D. It then computes a product with D,
+    which gives the residual for M and improves D~. A product with D costs one solve with a small
+    matrix, and no solve with K. Products with D are kept as long as those with A.
 
-    The tolerance is a natural residual, with the model in place of A.
+    The `tolerance` is the value of `residual`, for M, at which iterations end. Collective.
     """
     store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:
