@@ -295,8 +295,8 @@ class ContactSystem(PetscOwner):
         return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
 
     def normal_forces_at_nodes(self) -> Array:
-        """Return normal forces times roots of areas (pairs, owned nodes), 0 at open nodes."""
-        return self._at_nodes(self._state.multipliers / self.jump.stress_scale**2, 0.0)
+        """Return normal forces [force] (pairs, owned nodes), 0 at open nodes. Not collective."""
+        return self._at_nodes(self._state.multipliers / self.jump.stress_scale, 0.0)
 
     def _at_nodes(self, values: Array, default: float) -> Array:
         """Return the values (pairs, owned nodes) of normal rows, from those (size,) of B's rows."""

@@ -249,7 +249,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
         check_type(f"pairs[{number}]", pair, ContactPair, "a ContactPair")
     if not result:
         raise InputError("a contact problem needs at least one ContactPair, found none.")
-    names: set[str | None] = set()
+    names: set[str] = set()
     earlier: set[frozenset[Any]] = set()  # the two surfaces of earlier pairs, in any order
     for pair in result:
         sides = []
@@ -264,9 +264,10 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
                 f"two pairs are between the surfaces {pair.side('secondary')} and "
                 f"{pair.side('primary')}: that would constrain their nodes twice. Give one pair."
             )
-        if pair.name is not None and pair.name in names:
-            raise InputError(f"two pairs have the name {pair.name}: give each a name of its own.")
-        names.add(pair.name)
+        needs_name = pair.name is not None or isinstance(pair.friction, Preload)
+        if needs_name and str(pair) in names:
+            raise InputError(f"two pairs have the name {pair}: give each a name of its own.")
+        names.add(str(pair))
         earlier |= surfaces
     return result
 
