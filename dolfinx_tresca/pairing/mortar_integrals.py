@@ -70,6 +70,7 @@ class FacetIntegrals:
             over its facets (zero if an exact surface is known), and the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
         least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
+            To an obstacle it is the least distance of a node.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
@@ -83,6 +84,83 @@ class FacetIntegrals:
     full: Mask
     pairs: Indices
     partner: Array
+
+
+class _PointsOfSide:
+    """Points of the facets of one side, opposite to quadrature points in planes of pieces.
+
+    Attributes:
+        facet: (n,) facet of each point.
+        x: (n, dim) reference points of the facets.
+        values: (n, k) basis functions of the displacement.
+        height: (n,) height of the facet over the plane [length].
+        to_surface: (n, 3) vectors from the facet to the smooth surface [length].
+        normals: (n, 3) outward unit normals of the smooth surface.
+    """
+
+    def __init__(self, surface: SmoothSurface, facet: Indices, nodes: Array, places: Array) -> None:
+        """Project facets, with nodes (n, k, dim + 1) in frames of planes, to places (n, dim)."""
+        self.facet, self.x = facet, project(surface.facets, nodes[:, :, :-1], places)
+        self.values = surface.facets.basis(self.x)
+        self.height = dots(self.values, nodes[:, :, -1])
+        self.to_surface, self.normals = surface.offsets_and_normals(facet, self.x)
+
+
+class _CutOverlaps:
+    """Overlaps of pairs of pieces, cut into m simplices with q quadrature points each.
+
+    Attributes:
+        piece: (pairs,) secondary piece of each pair, ascending; its plane has the overlap.
+        partner_piece: (pairs,) primary piece.
+        facet: (pairs,) secondary facet.
+        partner: (pairs,) primary facet.
+        simplices: (m, dim + 1, dim) corners of the simplices in the plane [length].
+        areas: (m,) areas of the simplices [length^dim].
+        pair: (m,) pair of each simplex, ascending.
+        pair_of_point: (m q,) pair of each quadrature point.
+        places: (m q, dim) quadrature points in the plane [length].
+        hats: (m q, corners) secondary hat functions.
+        secondary: the opposite points of the secondary facets.
+        primary: the opposite points of the primary facets.
+    """
+
+    def __init__(
+        self,
+        pieces: tuple[Pieces, Pieces],
+        surfaces: tuple[SmoothSurface, SmoothSurface],
+        pairs: tuple[Indices, Indices],
+        barycentric: Array,
+        rounding: Array,
+    ) -> None:
+        """Cut the overlaps of `pairs` of pieces, of which the secondary side comes first.
+
+        The quadrature points of a simplex are `barycentric` (q, dim + 1); simplices with areas
+        within `rounding` (secondary pieces,) are dropped.
+        """
+        self.piece, self.partner_piece = pairs
+        self.facet, self.partner = (
+            side.facet[piece] for side, piece in zip(pieces, pairs, strict=True)
+        )
+        plane, dim = pieces[0], barycentric.shape[1] - 1
+        polygons = (
+            plane.local_coordinates(self.piece, side.points[piece])[:, :, :dim]
+            for side, piece in zip(pieces, pairs, strict=True)
+        )
+        simplices, areas, pair = overlaps(*polygons)
+        large = areas > rounding[self.piece][pair]
+        self.simplices, self.areas, self.pair = simplices[large], areas[large], pair[large]
+        self.pair_of_point = point_pair = np.repeat(self.pair, len(barycentric))
+        self.places = np.einsum("qc,mcd->mqd", barycentric, self.simplices).reshape(-1, dim)
+        self.secondary, self.primary = (
+            _PointsOfSide(
+                surface,
+                facet[point_pair],
+                plane.local_coordinates(self.piece, surface.facets.points[facet])[point_pair],
+                self.places,
+            )
+            for surface, facet in zip(surfaces, (self.facet, self.partner), strict=True)
+        )
+        self.hats = surfaces[0].facets.hats(self.secondary.x)
 
 
 class MortarIntegrals(FacetIntegrals):
@@ -107,13 +185,11 @@ class MortarIntegrals(FacetIntegrals):
         may_meet: Callable[[Indices, Indices], Mask],
         order: SelfContact | None = None,
     ) -> None:
-        """Integrate over the overlaps of facets.
+        """Integrate over the overlaps of the `selected` (m,) secondary facets with primary facets.
 
-        Facets of a surface that touches itself are first paired with facets nearby, and only those
-        that these do not fully cover with all facets within the search distance. Only the
-        `selected` (m,) secondary facets are integrated over. Points beyond `limit` [length], and
-        facets (p,) for which `may_meet` is false, are not paired. On a surface that touches itself,
-        `order` decides which facet is secondary.
+        Points farther apart than `limit` [length], and facets (p,) for which `may_meet` is false,
+        are not paired. On a surface that touches itself, `order` decides which facet of a pair is
+        secondary, and a facet that facets nearby fully cover is paired with these alone.
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
@@ -121,19 +197,14 @@ class MortarIntegrals(FacetIntegrals):
         self._surface, self._partner_surface = SmoothSurface(secondary), SmoothSurface(primary)
         body = None if order is None else order.body[self._pieces.facet]
         self._visibility = Visibility(self._pieces, self._partners, body)
-        degree = 1 + facets.degree
-        if not (facets.affine and partners.affine):
-            degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
-        elif facets.has_exact_surface:
-            degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
-        elif not (self._surface.is_flat and self._partner_surface.is_flat):
-            degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
-        degree += facets.axisymmetric  # the radius is linear
-        x, w = quadrature("interval" if facets.dim == 1 else "triangle", degree)
+        simplex = "interval" if facets.dim == 1 else "triangle"
+        x, w = quadrature(simplex, self._exactness())
+        # barycentric coordinates (q, dim + 1) of points of a simplex, their weights (q,), and the
+        # matrix from values at these points to values at corners
         self._barycentric, self._weights = np.column_stack([1.0 - x.sum(axis=1), x]), w / w.sum()
         self._to_corners = np.linalg.pinv(self._barycentric).T
-        self._rounding = rounding_of(self._pieces.points)
         self._area, count = self._pieces.areas, len(self._pieces.facet)
+        self._rounding = rounding_of(self._pieces.points) * self._area
 
         n, corners = secondary.facet_nodes.shape
         self.hats, self.means = np.zeros((n, corners, corners)), np.zeros((n, corners, 6))
@@ -161,6 +232,18 @@ class MortarIntegrals(FacetIntegrals):
         del self._overlaps, self._pieces, self._partners, self._visibility
         del self._surface, self._partner_surface
 
+    def _exactness(self) -> int:
+        """Return the degree of polynomials that the quadrature over overlaps integrates exactly."""
+        facets, partners = self._surface.facets, self._partner_surface.facets
+        degree = 1 + facets.degree
+        if not (facets.affine and partners.affine):
+            degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
+        elif facets.has_exact_surface:
+            degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
+        elif not (self._surface.is_flat and self._partner_surface.is_flat):
+            degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
+        return degree + facets.axisymmetric  # the radius is linear
+
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that face each other and may meet.
 
@@ -179,113 +262,105 @@ class MortarIntegrals(FacetIntegrals):
     def _integrate(
         self, mine: Indices, partners: Indices, limit: Array, *, covered_only: bool = False
     ) -> Mask:
-        """Add the integrals over pairs of secondary and primary pieces (pairs,), ascending.
+        """Add the integrals over the overlaps of pairs of secondary and primary pieces (pairs,).
 
-        All pairs of a secondary piece are given, and `limit` (pieces,) is its search distance
-        [length]. With `covered_only` pieces that are not fully covered are left out. Return which
-        pieces (pieces,) these pairs cover fully, whatever the roles are.
+        All pairs of a secondary piece are given, ascending, and `limit` (pieces,) is its search
+        distance [length]. With `covered_only`, nothing is added on pieces that these pairs do not
+        cover fully. Return which pieces (pieces,) the pairs cover fully, whatever the roles are.
         """
-        pieces, surface, partner_surface = self._pieces, self._surface, self._partner_surface
-        secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
-        # the overlaps in the planes of the secondary pieces, cut into simplices
-        simplices, areas, pair = overlaps(
-            pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
-            pieces.local_coordinates(mine, self._partners.points[partners])[:, :, :dim],
-        )
-        large = areas > (self._rounding * self._area)[mine][pair]
-        simplices, areas, pair = simplices[large], areas[large], pair[large]
+        pieces, surfaces = (self._pieces, self._partners), (self._surface, self._partner_surface)
+        cut = _CutOverlaps(pieces, surfaces, (mine, partners), self._barycentric, self._rounding)
+        seen = self._seen_weights(cut, limit)
+        # where the roles are exchanged, points cover the piece, but are not integrated over
+        weight, opposite = seen, np.zeros(len(mine), dtype=np.bool_)
+        if self._order is not None:
+            is_primary = ~self._order.is_secondary(cut.facet, cut.partner)[cut.pair_of_point]
+            opposite[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
+            weight = seen * ~is_primary
+        means, q = self._quantities(cut), len(self._weights)
+        # least distance of each simplex: of the linear function that fits the distances best
+        least = (means[:, 0].reshape(-1, q) @ self._to_corners).min(axis=1)
+        least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
 
-        # quadrature points, (simplices * count,), in the planes and on both facets
-        count = len(self._weights)
-        places = np.einsum("qc,mcd->mqd", self._barycentric, simplices).reshape(-1, dim)
-        weight = (areas[:, None] * self._weights).ravel()
-        facet, partner = pieces.facet[mine], self._partners.facet[partners]
-        point_pair = np.repeat(pair, count)
-        own_facet, their_facet, piece = facet[point_pair], partner[point_pair], mine[point_pair]
-        own = pieces.local_coordinates(mine, secondary.points[facet])[point_pair]
-        theirs = pieces.local_coordinates(mine, primary.points[partner])[point_pair]
-        x_own = project(secondary, own[:, :, :dim], places)
-        x_their = project(primary, theirs[:, :, :dim], places)
-        hats = secondary.hats(x_own)
-        values, partner_values = secondary.basis(x_own), primary.basis(x_their)
-        start, end = dots(values, own[:, :, dim]), dots(partner_values, theirs[:, :, dim])
-        apart = end - start
-        to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
-        to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
+        # sums over the pairs that overlap: the simplices of a pair follow each other
+        pairs, starts = np.unique(cut.pair, return_index=True)
+        piece, area = mine[pairs], np.add.reduceat(weight, starts * q)
+        seen_area = np.bincount(piece, np.add.reduceat(seen, starts * q), minlength=len(limit))
+        covered: Mask = seen_area >= (1.0 - MISMATCH) * self._area
+        added = covered[piece] if covered_only else np.ones(len(pairs), dtype=np.bool_)
+        weighted_hats = self._surface_weights(cut, weight)[:, None] * cut.hats
+        left = weighted_hats.reshape(-1, q, cut.hats.shape[1]).transpose(0, 2, 1)
 
-        # weights of points that are seen in either role: not hidden, near, and turned to each other
-        centres = simplices.mean(axis=1)
-        low, high = (side.reshape(-1, count) @ self._weights for side in (start, end))
-        hidden = self._visibility.hidden(mine[pair], centres, low, high, partners[pair])
-        weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
-        weight = weights_of_nearest(mine, pair, simplices, areas, places, apart, weight, self._area)
-        weight = weight * surface.may_touch(
-            own_facet, outward, partner_surface, their_facet, their_outward
+        def products(right: Array) -> Array:
+            """Integrate hats times functions (points, k) over overlaps: (pairs, corners, k)."""
+            of_simplices = left @ right.reshape(-1, q, right.shape[1])
+            return np.asarray(np.add.reduceat(of_simplices, starts, axis=0))
+
+        facet, values = cut.facet[pairs][added], cut.secondary.values
+        for total, integrand in ((self.hats, cut.hats), (self.values, values), (self.means, means)):
+            np.add.at(total, facet, products(integrand)[added])
+        np.minimum.at(self.least, facet, np.minimum.reduceat(least, starts)[added])
+        np.add.at(self._covered, piece[added], area[added])
+        both: Indices = np.column_stack([cut.facet, cut.partner])[pairs]
+        paired, exchanged = added & (area > 0.0), added & opposite[pairs]
+        self._overlaps.append((both[paired], products(cut.primary.values)[paired], both[exchanged]))
+        return covered
+
+    def _seen_weights(self, cut: _CutOverlaps, limit: Array) -> Array:
+        """Return quadrature weights (points,) in the planes, 0 where the sides do not face there.
+
+        Points face each other if they are within `limit` (pieces,) [length], nothing hides them or
+        is nearer, the surfaces may touch there (`SmoothSurface.may_touch`), and the primary one is
+        not far behind the nearest one that faces the piece (`FACET_LENGTH`).
+        """
+        secondary, primary, q = cut.secondary, cut.primary, len(self._weights)
+        piece, apart = cut.piece[cut.pair_of_point], primary.height - secondary.height
+        # a simplex is hidden as a whole, if it is at its centre, with mean heights
+        low, high = (side.height.reshape(-1, q) @ self._weights for side in (secondary, primary))
+        centres, partner = cut.simplices.mean(axis=1), cut.partner_piece[cut.pair]
+        hidden = self._visibility.hidden(cut.piece[cut.pair], centres, low, high, partner)
+        weight = (cut.areas[:, None] * self._weights).ravel()
+        weight = weight * np.repeat(~hidden, q) * (np.abs(apart) <= limit[piece])
+        weight = weights_of_nearest(
+            cut.piece, cut.pair, cut.simplices, cut.areas, cut.places, apart, weight, self._area
         )
-        # what lies far behind the nearest point of a piece is another surface
+        own, theirs = (secondary.facet, secondary.normals), (primary.facet, primary.normals)
+        weight = weight * self._surface.may_touch(*own, self._partner_surface, *theirs)
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
-        weight = weight * (np.abs(apart) - nearest[piece] <= FACET_LENGTH * pieces.radii[piece])
+        behind = np.abs(apart) - nearest[piece]
+        return np.asarray(weight * (behind <= FACET_LENGTH * self._pieces.radii[piece]))
 
-        # weights of pairs in this role, and in terms of area elements
-        seen = weight
-        opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
-        if self._order is not None:
-            is_primary = ~self._order.is_secondary(facet, partner)[point_pair]
-            opposite[point_pair[is_primary & (weight > 0.0)]] = True
-            weight = weight * ~is_primary
-        surface_weight = weight
-        if not secondary.affine:  # areas of curved facets for those in the planes of pieces
-            vectors = secondary.area_vectors_at(own_facet, x_own)
-            in_plane = np.abs(dots(vectors, pieces.normals[piece]))
-            surface_weight = surface_weight * np.linalg.norm(vectors, axis=1) / in_plane
-        if secondary.axisymmetric:
-            radii = dots(values, secondary.points[own_facet, :, 0])
-            surface_weight = surface_weight * 2.0 * np.pi * radii
+    def _surface_weights(self, cut: _CutOverlaps, weight: Array) -> Array:
+        """Return weights (points,) in the planes as weights on facets, or on their rings."""
+        facets, side = self._surface.facets, cut.secondary
+        if not facets.affine:
+            vectors = facets.area_vectors_at(side.facet, side.x)
+            in_plane = np.abs(dots(vectors, self._pieces.normals[cut.piece[cut.pair_of_point]]))
+            weight = weight * np.linalg.norm(vectors, axis=1) / in_plane
+        if facets.axisymmetric:
+            weight = weight * 2.0 * np.pi * dots(side.values, facets.points[side.facet, :, 0])
+        return weight
 
-        # normals and distances; at the rim of one side fitted surfaces differ where facets coincide
-        turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
-        normals = contact_normals(outward, their_outward, *turns)
-        coincide = secondary.coincide(facet, primary, partner)[point_pair]
-        if not secondary.has_exact_surface:
-            to_partner[coincide], to_surface[coincide] = 0.0, 0.0
-        without_height = coincide | secondary.has_exact_surface
-        secondary_sagitta = ~without_height * surface.heights(own_facet, hats)
+    def _quantities(self, cut: _CutOverlaps) -> Array:
+        """Return the six quantities (points, 6) whose means are `FacetIntegrals.means`."""
+        surface, partner_surface, point = self._surface, self._partner_surface, cut.pair_of_point
+        facets, own, theirs = surface.facets, cut.secondary, cut.primary
+        turns = surface.turns_to_ends[own.facet], partner_surface.turns_to_ends[theirs.facet]
+        normals = contact_normals(own.normals, theirs.normals, *turns)
+        # where facets coincide, so do the surfaces: at the rim of one side the fitted ones differ
+        is_fitted = not facets.has_exact_surface
+        coincide = facets.coincide(cut.facet, partner_surface.facets, cut.partner)[point]
+        equal = (is_fitted & coincide)[:, None]
+        to_surface, to_partner = (np.where(equal, 0.0, side.to_surface) for side in (own, theirs))
+        secondary_sagitta = (is_fitted & ~coincide) * surface.heights(own.facet, cut.hats)
         sagitta = dots(to_surface - to_partner, normals)
         # a vector between the surfaces: the distance of the facets minus both heights would lose
         # accuracy for closely fitting bodies, for which heights are much larger than the distance
-        between = apart[:, None] * pieces.normals[piece]
+        apart = theirs.height - own.height
+        between = apart[:, None] * self._pieces.normals[cut.piece[point]]
         distance = dots(between + to_partner - to_surface, normals)
-        # least distance of each simplex: of the linear function that fits the distances best
-        least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
-        least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
-
-        # sums over the simplices of each pair that counts, and over the pairs of facets and pieces
-        kept, simplex_starts = np.unique(pair, return_index=True)
-
-        def products(right: Array) -> Array:
-            """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
-            left = (surface_weight[:, None] * hats).reshape(-1, count, hats.shape[1])
-            blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
-            return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
-
-        piece_of_pair, seen_of_pair = mine[kept], np.add.reduceat(seen, simplex_starts * count)
-        seen_of_piece = np.bincount(piece_of_pair, seen_of_pair, minlength=len(limit))
-        covered: Mask = seen_of_piece >= (1.0 - MISMATCH) * self._area
-        add = covered[piece_of_pair] if covered_only else np.ones(len(kept), dtype=np.bool_)
-        added_to = facet[kept][add]
-        means = np.column_stack([distance, secondary_sagitta, sagitta, normals])
-        for total, integrand in ((self.hats, hats), (self.values, values), (self.means, means)):
-            np.add.at(total, added_to, products(integrand)[add])
-        np.minimum.at(self.least, added_to, np.minimum.reduceat(least, simplex_starts)[add])
-        area_of_pair = np.add.reduceat(weight, simplex_starts * count)
-        np.add.at(self._covered, piece_of_pair[add], area_of_pair[add])
-        both: Indices = np.column_stack([facet, partner])[kept]
-        paired = add & (area_of_pair > 0.0)
-        self._overlaps.append(
-            (both[paired], products(partner_values)[paired], both[add & opposite[kept]])
-        )
-        return covered
+        return np.column_stack([distance, secondary_sagitta, sagitta, normals])
 
 
 def obstacle_integrals(
@@ -305,14 +380,13 @@ def obstacle_integrals(
         the normal of the obstacle; the integrals; and whether a facet faces the obstacle at its
         corners (n, corners).
     """
-    facets = nodes.facets
+    facets, centre = nodes.facets, quadrature(nodes.facets.cell, 1)[0]
     entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(comm):
         surface = SmoothSurface(nodes)
         nodes = replace(nodes, facet_nodes=entry[nodes.facet_nodes])
-        every, middle = np.arange(len(facets.points)), quadrature(facets.cell, 1)[0]
-        centres = facets.points_at(middle)[:, 0]
         at_corners = obstacle.at(nodes.points)[1][nodes.facet_nodes]
+        centres = facets.points_at(centre)[:, 0]
         _, at_centres = obstacle.at(centres)
         # A facet faces the obstacle at a corner if the normals of both are opposed at this corner
         # and at the centre of the facet. So, if an edge of the body lies in a corner between walls
@@ -321,34 +395,20 @@ def obstacle_integrals(
         faces: Mask = dots(corner_normals, at_corners) < -FACING_COSINE
         faces &= (dots(facets.mean_normals, at_centres) < -FACING_COSINE)[:, None]
         facing = np.asarray(faces.any(axis=1))
+        # angles (facets,) by which the normal of the obstacle turns over facets
         turns = turned_angles(dots(at_corners, at_centres[:, None])) * facing
-        at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
-        own_turns = surface.turns[:, None]
-        mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
-        unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
-        normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
+        integrals = _nodal_integrals(obstacle, nodes, surface, facing, at_corners, turns)
         # nodes see a hollow obstacle, such as a corner between walls, before all other points do
         spread = facets.points[:, : facets.corners] - centres[:, None]
         turns *= dots(spread, at_corners - at_centres[:, None]).sum(axis=1) > 0.0
-
-        x = facets.lagrange_points(facets.degree)
-        distance, _ = _at(obstacle, surface.points(every, x))
-        height = _at(obstacle, facets.points)[0] - distance
-        x, w = quadrature(facets.cell, 4 * facets.degree + 2)
-        weighted = (facets.area_elements(x) * w * facing[:, None])[:, None] * facets.hats(x).T
-        hats, values = weighted @ facets.hats(x), weighted @ facets.basis(x)
-        at_nodes = np.stack([distance, height, height], axis=2)
-        means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
-        least, full = np.zeros(len(hats)), np.ones(len(hats), dtype=np.bool_)
-        pairs = np.column_stack([every, np.zeros_like(every)])
-        integrals = FacetIntegrals(hats, values, means, least, full, pairs, hats)
         near = _see_between_nodes(obstacle, nodes, surface, turns, integrals)
-        seen = distance.min(axis=1, initial=np.inf)
+    if not displaced:
+        # the least distance that nodes see, or means over the facets around them
+        seen = integrals.least.copy()
         gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
         areas = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
         corners = nodes.facet_nodes[near]
         seen[near] = (gaps[corners] / areas[corners]).min(axis=1, initial=np.inf)
-    if not displaced:
         front = np.flatnonzero(facing)
         with errors_on_all_ranks(comm):
             points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
@@ -358,13 +418,48 @@ def obstacle_integrals(
     return nodes, integrals, faces
 
 
+def _nodal_integrals(
+    obstacle: RigidObstacle,
+    nodes: SurfaceNodes,
+    surface: SmoothSurface,
+    facing: Mask,
+    at_corners: Array,
+    turns: Array,
+) -> FacetIntegrals:
+    """Return the integrals over facets that face an obstacle, zero over the others.
+
+    The distance is interpolated between the nodes of the displacement, and the contact normal
+    between corners: it is the obstacle's normal `at_corners` (n, corners, 3) where the mesh
+    resolves the obstacle (`RESOLVED_ANGLE`), else the mean of both sides' normals, which turn over
+    facets by `turns` (n,) [rad]. `least` is the least distance at a node of the facet.
+    """
+    facets = nodes.facets
+    at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
+    own_turns = surface.turns[:, None]
+    mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
+    unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
+    normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
+    every = np.arange(len(facets.points))
+    distance, _ = _at(obstacle, surface.points(every, facets.lagrange_points(facets.degree)))
+    height = _at(obstacle, facets.points)[0] - distance
+    x, w = quadrature(facets.cell, 4 * facets.degree + 2)
+    weighted = (facets.area_elements(x) * w * facing[:, None])[:, None] * facets.hats(x).T
+    hats, values = weighted @ facets.hats(x), weighted @ facets.basis(x)
+    at_nodes = np.stack([distance, height, height], axis=2)
+    means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
+    least, full = distance.min(axis=1, initial=np.inf), np.ones(len(every), dtype=np.bool_)
+    pairs = np.column_stack([every, np.zeros_like(every)])
+    return FacetIntegrals(hats, values, means, least, full, pairs, hats)
+
+
 def _warn_of_unseen(
     comm: MPI.Comm, pair: ContactPair, depth: Array, seen: Array, turns: Array, extent: float
 ) -> None:
     """Warn if an obstacle enters facets (n,) farther than the mesh sees. Collective.
 
-    From the depth by which it enters, the part of it that nodes, or means between nodes, see, and
-    the angle by which its normal turns [rad]; `extent` is the largest coordinate [length].
+    `depth` is how far it enters a facet [length], `seen` the depth that nodes see, or means around
+    them, and `turns` the angle by which its normal turns [rad]; `extent` is the largest coordinate
+    [length], which gives the rounding of depths.
     """
     greatest = [array.max(initial=0.0) for array in (depth, depth - seen, turns * (depth > 0.0))]
     deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
@@ -409,20 +504,24 @@ def _see_between_nodes(
     returned; there, hat functions count as dual.
     """
     facets = nodes.facets
+    # share (m, corners, 1) of the new means, which take over gradually as the angle grows
     around = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
     share = np.clip(0.5 * (around / RESOLVED_ANGLE - 1.0), 0.0, 1.0)
     near = np.flatnonzero(integrals.hats.any(axis=(1, 2)) & share.any(axis=1))
-    close = facets.selected(near)
-    corners, turns, share = nodes.facet_nodes[near], turns[near], share[near, :, None]
+    close, corners, share = facets.selected(near), nodes.facet_nodes[near], share[near, :, None]
+    turns = turns[near]
+
+    # the six quantities of `FacetIntegrals.means` at points all over the facets
     x, w = quadrature(facets.cell, SEEN_DEGREE)
-    hats, basis = facets.hats(x), facets.basis(x)
-    points = surface.points(near, x)
+    hats, points = facets.hats(x), surface.points(near, x)
     distance, outward = _at(obstacle, points)
     own = unit(hats @ surface.corner_normals[near])
     normals = contact_normals(own, outward, surface.turns[near, None], turns[:, None])
     above = dots(close.points_at(x) - points, outward)
     seen = np.dstack([distance, above, above, normals])
 
+    # weights (m, corners, points): the hat function times the exponential function, scaled such
+    # that a node keeps its area. An arc over a chord of length l has the height turn l / 8
     widths = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
     own_height = SEEN_HEIGHT / 8.0 * facets.dim * turns * widths
     height = nodes.reduced(np.maximum, own_height[:, None], 0.0, near)
@@ -433,11 +532,13 @@ def _see_between_nodes(
     areas = integrals.hats[near].sum(axis=2)
     total = nodes.reduced(np.add, weights.sum(axis=2), 0.0, near)[corners]
     weights *= (nodes.reduced(np.add, areas, 0.0, near)[corners] / total)[:, :, None]
+
+    # the integrals so far are multiplied by the dual basis, and so can be mixed with the new ones
     dual = areas[:, :, None] * np.linalg.inv(integrals.hats[near])
     values, means = dual @ integrals.values[near], dual @ integrals.means[near]
     # the normal at a node half a facet away is wrong by more than the distance there
     shares = share * [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
-    integrals.values[near] = values + share * (weights @ basis - values)
+    integrals.values[near] = values + share * (weights @ facets.basis(x) - values)
     integrals.means[near] = means + np.minimum(shares, 1.0) * (weights @ seen - means)
     integrals.hats[near] = areas[:, :, None] * np.eye(facets.corners)
     return near
