@@ -292,13 +292,13 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-@dataclass(frozen=True)
 class SurfaceNodes:
     """The corners of facets; a node on a sharp edge has one entry for each of its `smooth_patches`.
 
     Weights and normals are valid at nodes whose adjacent facets are all on this rank.
 
     Attributes:
+        facets: the facets.
         numbers: (n,) global numbers of the nodes in V, ascending; of the entries of one node the
             patch with the largest weight comes last.
         points: (n, 3) positions [length].
@@ -311,38 +311,29 @@ class SurfaceNodes:
         has_no_normal: (n,) whether the normals of the facets cancel.
     """
 
-    facets: Facets
-    numbers: GlobalNumbers
-    points: Array
-    weights: Array
-    normals: Array
-    free: Mask
-    facet_nodes: Indices
-    has_no_normal: Mask
-
-    @classmethod
-    def from_facets(cls, facets: Facets) -> SurfaceNodes:
-        """Return the corners of facets, with their weights and normals."""
-        corners = facets.corners
+    def __init__(self, facets: Facets) -> None:
+        """Find the nodes at the corners of facets, and their smooth patches."""
+        self.facets, corners = facets, facets.corners
         unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
         normals, spread = _corner_normals(facets)
         patch, node_of_patch = smooth_patches(node.ravel(), normals.reshape(-1, 3))
         x, w = quadrature(facets.cell, 2 * facets.degree + 2)
         corner_weights = facets.area_elements(x) @ (facets.hats(x) * w[:, None])
-        # entries sorted by node, then by the weight of the patch
+        # an entry is a patch; entries are sorted by node, then by the weight of the patch
         weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
         order = np.lexsort((weights, node_of_patch))
-        weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
-        position = np.argsort(order)[patch].reshape(-1, corners)  # entry of each facet's corners
-        vectors, lengths = np.zeros((len(numbers), 3)), np.zeros(len(numbers))
-        np.add.at(vectors, position, spread[:, :, None] * normals)
-        np.add.at(lengths, position, spread)
-        corner = np.unique(position, return_index=True)[1]  # one of those at each entry
-        points = facets.points[:, :corners].reshape(-1, 3)[corner]
-        free = facets.free.reshape(-1, facets.free.shape[2])[corner]
-        has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
-        normals = free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free)
-        return cls(facets, numbers, points, weights, normals, free, position, has_no_normal)
+        self.weights: Array = weights[order].astype(np.float64)
+        self.numbers: GlobalNumbers = unique[node_of_patch[order]]
+        self.facet_nodes: Indices = np.argsort(order)[patch].reshape(-1, corners)
+        vectors = self.reduced(np.add, spread[:, :, None] * normals, 0.0)
+        lengths = self.reduced(np.add, spread, 0.0)
+        corner = np.unique(self.facet_nodes, return_index=True)[1]  # any corner at each entry
+        self.points: Array = facets.points[:, :corners].reshape(-1, 3)[corner]
+        self.free: Mask = facets.free.reshape(-1, facets.free.shape[2])[corner]
+        self.has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
+        # any unit vector for the error message's sake
+        vectors[self.has_no_normal] = np.eye(3)[0]
+        self.normals = free_normals(vectors, self.free)
 
     def reduced(self, ufunc: np.ufunc, values: Any, initial: Any, facets: Any = slice(None)) -> Any:
         """Return sums, or other reductions, at nodes of values (facets, corners, ...) at corners.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -193,7 +194,7 @@ class MortarIntegrals(FacetIntegrals):
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
-        self._pieces, self._partners = Pieces.from_facets(facets), Pieces.from_facets(partners)
+        self._pieces, self._partners = Pieces(facets), Pieces(partners)
         self._surface, self._partner_surface = SmoothSurface(secondary), SmoothSurface(primary)
         body = None if order is None else order.body[self._pieces.facet]
         self._visibility = Visibility(self._pieces, self._partners, body)
@@ -384,7 +385,8 @@ def obstacle_integrals(
     entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(comm):
         surface = SmoothSurface(nodes)
-        nodes = replace(nodes, facet_nodes=entry[nodes.facet_nodes])
+        nodes = copy(nodes)
+        nodes.facet_nodes = entry[nodes.facet_nodes]
         at_corners = obstacle.at(nodes.points)[1][nodes.facet_nodes]
         centres = facets.points_at(centre)[:, 0]
         _, at_centres = obstacle.at(centres)

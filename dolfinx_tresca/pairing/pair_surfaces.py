@@ -36,7 +36,7 @@ def pair_surfaces(
     V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
 ) -> PairOperators:
     """Compute N, T and the gap of a single pair; see `pair_group`. Collective."""
-    return pair_group(V, prescribed, PairGroup.from_pairs([pair]), axisymmetric=axisymmetric)[0]
+    return pair_group(V, prescribed, PairGroup([pair]), axisymmetric=axisymmetric)[0]
 
 
 def pair_all_surfaces(
@@ -162,7 +162,7 @@ def _surface_nodes(
     """
     comm = V.mesh.comm
     with errors_on_all_ranks(comm):
-        nodes = SurfaceNodes.from_facets(halo)
+        nodes = SurfaceNodes(halo)
         own = owns(V, nodes.numbers)
         has_no_normal = own & nodes.has_no_normal
         if has_no_normal.any():

@@ -8,7 +8,7 @@ each rank owns, and are in the order of the ranks that own them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import chain
 from typing import Any
@@ -59,7 +59,6 @@ def line_intervals(
     return np.minimum(at_low, at_high).max(axis=1), np.maximum(at_low, at_high).min(axis=1)
 
 
-@dataclass(frozen=True)
 class Pieces:
     """Segments, triangles or quadrilaterals that approximate facets.
 
@@ -76,16 +75,7 @@ class Pieces:
         areas: (n,) areas of the pieces, projected onto these planes [length^2, in 2D length].
     """
 
-    facet: Indices
-    nodes: GlobalNumbers
-    points: Array
-    centres: Array
-    radii: Array
-    normals: Array
-    areas: Array
-
-    @classmethod
-    def from_facets(cls, facets: Facets) -> Pieces:
+    def __init__(self, facets: Facets) -> None:
         """Cut facets into pieces."""
         corners = facets.corners_round[None]
         if facets.bent:  # the nodes of each piece, in the order round it
@@ -94,18 +84,19 @@ class Pieces:
             squares = [[0, 4, 8, 5], [1, 6, 8, 4], [3, 7, 8, 6], [2, 5, 8, 7]]
             cells = {"interval": halves, "triangle": triangles, "quadrilateral": squares}
             corners = np.array(cells[facets.cell])
-        points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
-        nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
-        facet = np.repeat(np.arange(len(facets.points)), len(corners))
-        centres = points.mean(axis=1)
+        self.facet = np.repeat(np.arange(len(facets.points)), len(corners))
+        self.nodes: GlobalNumbers = facets.nodes[:, corners].reshape(-1, corners.shape[1])
+        self.points: Array = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
+        self.centres: Array = self.points.mean(axis=1)
+        arms = self.points - self.centres[:, None]
+        self.radii: Array = np.linalg.norm(arms, axis=2).max(axis=1)
         # in 3D the area vector is half the cross product of the diagonals, or of two sides
-        along = points[:, facets.dim] - points[:, 0]
-        across = points[:, -1] - points[:, 1] if facets.dim == 2 else np.array([0.0, 0.0, 1.0])
+        along = self.points[:, facets.dim] - self.points[:, 0]
+        e_z = np.array([0.0, 0.0, 1.0])
+        across = self.points[:, -1] - self.points[:, 1] if facets.dim == 2 else e_z
         vectors = cross(along, across) / facets.dim
-        areas: Array = np.linalg.norm(vectors, axis=1)
-        normals: Array = vectors / (facets.outward[facet] * areas)[:, None]
-        radii = np.linalg.norm(points - centres[:, None], axis=2).max(axis=1)
-        return cls(facet, nodes, points, centres, radii, normals, areas)
+        self.areas: Array = np.linalg.norm(vectors, axis=1)
+        self.normals: Array = vectors / (facets.outward[self.facet] * self.areas)[:, None]
 
     @cached_property
     def frames(self) -> Array:
@@ -252,7 +243,7 @@ def near_lines(
     """
     if comm.size == 1:
         return owned
-    pieces = Pieces.from_facets(owned)
+    pieces = Pieces(owned)
     low = pieces.centres.min(axis=0, initial=np.inf)
     high = pieces.centres.max(axis=0, initial=-np.inf)
     box = comm.allgather((np.stack([low, high]), pieces.radii.max(initial=0.0)))
@@ -296,7 +287,7 @@ def with_neighbours(V: Any, owned: Facets) -> Facets:
 
     A ring are all facets at the corners of facets: `SmoothSurface` depends on two.
     """
-    mine = Pieces.from_facets(facets_at_own_nodes(V, owned))
+    mine = Pieces(facets_at_own_nodes(V, owned))
     reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
     return near_lines(V.mesh.comm, owned, mine.centres, mine.normals, reach, 0.0)
 
@@ -311,13 +302,13 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     comm = V.mesh.comm
     if comm.size == 1:
         return secondary, primary
-    mine = Pieces.from_facets(facets_at_own_nodes(V, secondary))
+    mine = Pieces(facets_at_own_nodes(V, secondary))
     rings = TWO_RINGS * max(_largest_radius(comm, side) for side in (secondary, primary))
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far, reach = limit + mine.radii + rings, mine.radii + rings
     lines = mine.centres, mine.normals, reach, far
     around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
-    partners = Pieces.from_facets(across)
+    partners = Pieces(across)
     # if a facet may penetrate deeply, the primary facets around it decide whether it does
     depth: Array = np.zeros(len(far))
     for own, partner in mine.facing(np.arange(len(far)), partners, far):
@@ -334,4 +325,4 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
 
 def _largest_radius(comm: MPI.Comm, facets: Facets) -> float:
     """Return the radius of the largest piece on any rank [length]. Collective."""
-    return float(comm.allreduce(Pieces.from_facets(facets).radii.max(initial=0.0), op=MPI.MAX))
+    return float(comm.allreduce(Pieces(facets).radii.max(initial=0.0), op=MPI.MAX))

@@ -55,7 +55,6 @@ COMMON = ("sliding", "search_distance", "pairing", "geometry")
 FAR_CORNER = 0.5
 
 
-@dataclass(frozen=True)
 class PairGroup:
     """Pairs that are paired as one pair of surfaces, so that a node has one multiplier.
 
@@ -70,41 +69,29 @@ class PairGroup:
             first pair with this rank has the multiplier.
     """
 
-    numbers: tuple[int, ...]
-    pairs: tuple[ContactPair, ...]
-    surfaces: ContactPair
-    pair_of_tags: Indices
-    rank: Indices
-
-    @classmethod
-    def from_pairs(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
-        """Return the group of some pairs with equal `facet_tags` and arguments `COMMON`."""
-        pattern = pairs[0]
+    def __init__(self, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> None:
+        """Join some pairs, which must have equal `facet_tags` and arguments `COMMON`."""
+        self.pairs, self.numbers, pattern = tuple(pairs), tuple(numbers), pairs[0]
         for pair in pairs[1:]:
-            differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
-            given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
-            if given._cpp_object is not second._cpp_object:
-                differ.append("facet_tags")
-            if differ:
-                raise InputError(
-                    f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
-                    f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
-                )
-        own = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
+            _check_agree(pattern, pair)
+        tags_of_pairs = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
+        # the tags of each side, each tag once; a group with an obstacle has no primary tags, and
+        # one column in `pair_of_tags`
         secondary, primary = (
-            list(dict.fromkeys(tag for tags in both for tag in tags))
-            for both in zip(*own, strict=True)
+            list(dict.fromkeys(chain.from_iterable(tags)))
+            for tags in zip(*tags_of_pairs, strict=True)
         )
-        pair_of_tags = np.full((len(secondary), max(len(primary), 1)), -1)
-        for k, (own_tags, tags) in enumerate(own):
+        self.pair_of_tags: Indices = np.full((len(secondary), max(len(primary), 1)), -1)
+        for k, (own_tags, tags) in enumerate(tags_of_pairs):
             columns = [primary.index(tag) for tag in tags] or [0]
-            pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+            self.pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+        # pairs rank like the first pair with the same law; of equally strong laws the earlier wins
         alike = [next(k for k, second in enumerate(pairs) if _same(pair, second)) for pair in pairs]
         strengths = [(*_strength(pairs[k].friction), -k) for k in alike]
-        _, rank = np.unique(strengths, axis=0, return_inverse=True)
-        surfaces = pattern
+        self.rank: Indices = np.unique(strengths, axis=0, return_inverse=True)[1].ravel()
+        self.surfaces = pattern
         if len(pairs) > 1:
-            surfaces = replace(
+            self.surfaces = replace(
                 pattern,
                 facet_tags=pattern.given_tags("secondary")[0],
                 secondary=secondary,
@@ -112,7 +99,6 @@ class PairGroup:
                 gap=None,
                 name="; ".join(map(str, pairs)),
             )
-        return cls(tuple(numbers), tuple(pairs), surfaces, pair_of_tags, rank.ravel())
 
     def owners(self, shares: Array) -> Indices:
         """Return the pair (n,) that has each node's multiplier, by the area (n, pairs) in each."""
@@ -135,6 +121,19 @@ class PairGroup:
                     *(count, self.pairs[i], self.pairs[j], stronger, stronger.friction),
                     about=f"{self.pairs[i]}, {self.pairs[j]}",
                 )
+
+
+def _check_agree(pattern: ContactPair, pair: ContactPair) -> None:
+    """Raise InputError if two pairs of one group differ in an argument that it has in common."""
+    differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
+    given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
+    if given._cpp_object is not second._cpp_object:
+        differ.append("facet_tags")
+    if differ:
+        raise InputError(
+            f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
+            f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
+        )
 
 
 def _same(pair: ContactPair, second: ContactPair) -> bool:
@@ -176,7 +175,7 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
         linked &= ~deformable | _shared(V, pairs, compared, "primary", label_bodies(V))
     count, group_of_pair = connected_components(csr_array(linked), directed=False)
     members = [[k for k in range(len(pairs)) if group_of_pair[k] == g] for g in range(count)]
-    return [PairGroup.from_pairs([pairs[k] for k in numbers], numbers) for numbers in members]
+    return [PairGroup([pairs[k] for k in numbers], numbers) for numbers in members]
 
 
 def _shared(
