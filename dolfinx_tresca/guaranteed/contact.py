@@ -63,7 +63,7 @@ class ContactSurface:
         # as if nothing were prescribed: all nodes have jumps and distances. Displaced surfaces are
         # paired without the warnings that the log has already
         nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
-        undeformed = Undeformed.from_mesh(V, nothing, PairGroup([pair]))
+        undeformed = Undeformed(V, nothing, PairGroup([pair]))
         (every,) = pair_displaced_surfaces(V, undeformed, np.zeros(self._free.shape))
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
         nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()

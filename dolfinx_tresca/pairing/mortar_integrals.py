@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, dots, unit
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
@@ -23,8 +24,8 @@ from dolfinx_tresca.pairing.facets import (
     quadrature,
     rounding_of,
 )
-from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces
-from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps, weights_of_nearest
+from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces, flattened
+from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
@@ -322,15 +323,50 @@ class MortarIntegrals(FacetIntegrals):
         hidden = self._visibility.hidden(cut.piece[cut.pair], centres, low, high, partner)
         weight = (cut.areas[:, None] * self._weights).ravel()
         weight = weight * np.repeat(~hidden, q) * (np.abs(apart) <= limit[piece])
-        weight = weights_of_nearest(
-            cut.piece, cut.pair, cut.simplices, cut.areas, cut.places, apart, weight, self._area
-        )
+        weight = self._without_covered(cut, apart, weight)
         own, theirs = (secondary.facet, secondary.normals), (primary.facet, primary.normals)
         weight = weight * self._surface.may_touch(*own, self._partner_surface, *theirs)
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
         behind = np.abs(apart) - nearest[piece]
         return np.asarray(weight * (behind <= FACET_LENGTH * self._pieces.radii[piece]))
+
+    def _without_covered(self, cut: _CutOverlaps, apart: Array, weight: Array) -> Array:
+        """Return weights (points,), set to 0 where a nearer simplex of another pair covers a point.
+
+        Of two simplices that overlap, the one with the smaller mean distance counts; `apart`
+        (points,) are the distances along the normal [length], negative for penetration.
+        """
+        q, piece = len(self._weights), cut.piece[cut.pair]
+        has_weight = weight.reshape(-1, q).any(axis=1)
+        # only on pieces with less area than their simplices, simplices can overlap
+        area = np.bincount(piece, cut.areas * has_weight, minlength=len(self._area))
+        overlaid = (area > (1.0 + MISMATCH) * self._area)[piece]
+        crowded = np.flatnonzero(overlaid & has_weight)
+        if len(crowded) == 0:
+            return weight
+        # a tree for the planes of all pieces, far apart along one more axis
+        corners, dim = cut.simplices[crowded], cut.places.shape[1]
+        middles = corners.mean(axis=1)
+        reach = np.linalg.norm(corners - middles[:, None], axis=2).max()
+        plane = 4.0 * reach * piece[crowded]
+        tree = cKDTree(np.column_stack([middles, plane]))
+        places = cut.places.reshape(-1, q, dim)[crowded].reshape(-1, dim)
+        points = np.column_stack([places, np.repeat(plane, q)])
+        point, b = flattened(tree.query_ball_point(points, reach * (1.0 + 1e-9)))
+        # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
+        a, b, place = crowded[point // q], crowded[b], places[point]
+        distance = np.abs(apart).reshape(-1, q).mean(axis=1)
+        nearer = (cut.pair[a] != cut.pair[b]) & (distance[b] < distance[a])
+        point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
+        start = cut.simplices[b, 0]
+        sides = np.swapaxes(cut.simplices[b, 1:] - start[:, None], 1, 2)
+        reference = np.linalg.solve(sides, (place - start)[..., None])[..., 0]
+        # on an edge that two nearer simplices share, the point is in both
+        inside = (reference > -MISMATCH).all(axis=1) & (reference.sum(axis=1) < 1.0 + MISMATCH)
+        result = weight.reshape(-1, q).copy()
+        result[a[inside], point[inside] % q] = 0.0
+        return result.ravel()
 
     def _surface_weights(self, cut: _CutOverlaps, weight: Array) -> Array:
         """Return weights (points,) in the planes as weights on facets, or on their rings."""

@@ -7,7 +7,7 @@ has the facets of both surfaces, which are displaced for each later pairing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, combinations
 from typing import Any
 
@@ -200,7 +200,6 @@ def _shared(
     return np.asarray(reduce_array(comm, (incidence.T @ incidence).toarray()) > 0.0)
 
 
-@dataclass(frozen=True)
 class Undeformed:
     """The facets of a pair's undeformed surfaces that this rank owns.
 
@@ -210,15 +209,11 @@ class Undeformed:
             primary side is a rigid obstacle, or if the surface touches itself.
     """
 
-    group: PairGroup
-    sides: Sequence[Facets]
-
-    @classmethod
-    def from_mesh(
-        cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
-    ) -> Undeformed:
-        """Extract the surfaces; for arguments see `pair_group`. Collective."""
-        pair = group.surfaces
+    def __init__(
+        self, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
+    ) -> None:
+        """Extract the surfaces of a group; for arguments see `pair_all_surfaces`. Collective."""
+        self.group, pair = group, group.surfaces
         names = SIDES[:1] if pair.touches_itself or pair.obstacle is not None else SIDES
         sides = [tagged_facets(V, prescribed, pair, name) for name in names]
         sides = [replace(facets, axisymmetric=axisymmetric) for facets in sides]
@@ -226,7 +221,7 @@ class Undeformed:
             sides = with_offsets(V, pair, sides)
         if pair.touches_itself:
             sides = [replace(sides[0], origins=facet_origins(V, sides[0]))]
-        return cls(group, sides)
+        self.sides = sides
 
     def displaced(self, V: Any, u: Array) -> list[Facets]:
         """Return this rank's facets of each side, moved by u (nodes, dim) [length]. Collective."""
@@ -241,7 +236,7 @@ class Undeformed:
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return the facets of a deformable side that this rank owns; see `pair_group`. Collective."""
+    """Return the facets of a deformable side that this rank owns. Collective."""
     mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
     comm, dim = mesh.comm, mesh.topology.dim - 1
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):

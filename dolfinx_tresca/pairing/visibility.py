@@ -1,4 +1,4 @@
-"""Which facets may meet: overlaps, the nearest of several layers, what a body hides, self-contact.
+"""Which facets may meet: overlaps, what a body hides, self-contact.
 
 On a surface that touches itself, a point where two facets meet is seen from both, but must be
 constrained only once. So an order of the facets (`SelfContact`) decides which of two is secondary.
@@ -14,13 +14,12 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.facets import FACING_COSINE, MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
-from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces, flattened
+from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces
 
 #: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
 #: surfaces penetrate each other by a part of their size.
@@ -258,62 +257,6 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
 def _cross(a: Array, b: Array) -> Array:
     """Return the cross products (...) of plane vectors (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def weights_of_nearest(
-    piece: Indices,
-    pair: Indices,
-    simplices: Array,
-    area: Array,
-    places: Array,
-    gap: Array,
-    weight: Array,
-    piece_area: Array,
-) -> Array:
-    """Set the weights of quadrature points to zero where a nearer simplex covers the point.
-
-    Each simplex has the same number of points. Where simplices of two pairs overlap, that with the
-    smaller mean |gap| counts.
-
-    Args:
-        piece: (pairs,) the secondary piece of each pair, ascending.
-        pair: (simplices,) the pair of each simplex, ascending.
-        simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
-        area: (simplices,) areas of the simplices [length^d].
-        places: (points, d) quadrature points in the plane of the secondary piece [length].
-        gap: (points,) gap along the normal [length], positive if open.
-        weight: (points,) quadrature weights, 0 for points that are already excluded.
-        piece_area: (pieces,) areas of all secondary pieces [length^d].
-    """
-    if len(pair) == 0:
-        return weight
-    count = len(places) // len(pair)
-    has_weight = weight.reshape(-1, count).any(axis=1)
-    covered = np.bincount(piece[pair], area * has_weight, minlength=len(piece_area))
-    overlaid = (covered > (1.0 + MISMATCH) * piece_area)[piece[pair]]
-    crowded = np.flatnonzero(overlaid & has_weight)
-    if len(crowded) == 0:
-        return weight
-    inner = places.reshape(-1, count, places.shape[1])[crowded].reshape(-1, places.shape[1])
-    # a tree for the planes of all pieces, far apart along one more axis
-    middles = simplices[crowded].mean(axis=1)
-    reach = np.linalg.norm(simplices[crowded] - middles[:, None], axis=2).max()
-    plane = 4.0 * reach * piece[pair[crowded]]
-    tree = cKDTree(np.column_stack([middles, plane]))
-    points = np.column_stack([inner, np.repeat(plane, count)])
-    point, b = flattened(tree.query_ball_point(points, reach * (1.0 + 1e-9)))
-    a, b, place = crowded[point // count], crowded[b], inner[point]
-    # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
-    distance = np.abs(gap).reshape(-1, count).mean(axis=1)
-    nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
-    point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
-    sides = np.swapaxes(simplices[b, 1:] - simplices[b, :1], 1, 2)
-    reference = np.linalg.solve(sides, (place - simplices[b, 0])[..., None])[..., 0]
-    # on an edge that two nearer simplices share, the point is in both
-    inside = (reference > -MISMATCH).all(axis=1) & (reference.sum(axis=1) < 1.0 + MISMATCH)
-    result = weight.reshape(-1, count).copy()
-    result[a[inside], point[inside] % count] = 0.0
-    return result.ravel()
 
 
 class SelfContact:
