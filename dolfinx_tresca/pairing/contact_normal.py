@@ -99,29 +99,24 @@ class SmoothSurface:
 
     def __init__(self, nodes: SurfaceNodes) -> None:
         """Fit the surface; valid for facets with two rings on this rank. Not collective."""
-        facets, corner_nodes, rim = nodes.facets, nodes.facet_nodes, _rim_nodes(nodes)
+        facets, rim = nodes.facets, _rim_nodes(nodes)
+        at_rim = rim[nodes.facet_nodes]
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
-        self._first, self._second = np.triu_indices(facets.corners, 1)
-        self.corner_normals = fitted_normals(nodes)[corner_nodes]
+        self._first, self._second = np.triu_indices(facets.corners, 1)  # corners of each pair
+        # the normals and heights of the fitted surface
+        self.corner_normals = fitted_normals(nodes)[nodes.facet_nodes]
         smooth = self._smoothness(nodes, rim)
         if facets.dim == 1:
-            self._turn_end_normals(rim[corner_nodes], smooth)
+            self._turn_end_normals(at_rim, smooth)
         cosines = dots(self.corner_normals, self._facet_normals[:, None])
-        start, end = self._slopes()
-        turns_at_kinks = turned_angles(cosines)
-        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
-        # both is right to fourth order in the angle.
-        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
-        heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        rounding = (MESH_ROUNDING + facets.rounding) * np.ptp(self._corners, axis=1).max(axis=1)
-        has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
-        # (n, pairs) factors of products of two hat functions in heights [length]
-        self._height_factors = heights * (has_height and not facets.bent)
+        self._height_factors = self._heights_of_pairs(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
+        turns_at_kinks = turned_angles(cosines)
         kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
         leaning = self._facet_normals[:, None] - self.corner_normals
         self.corner_normals += kinked[:, None, None] * leaning
+        # where the geometry is known, its normals take the place of all others
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
@@ -131,19 +126,36 @@ class SmoothSurface:
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         turns_at_kinks[self._exact] = self.turns[self._exact]
+        self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
+        # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim,
+        # since flat slabs of one layer of cells have no facets but there; facets whose geometry is
+        # known go on
         self.across = _normals_across_edges(nodes)
         at_edge = self.across.any(axis=(1, 2))
         if facets.dim == 1:
             ahead = self._corners - self._corners[:, ::-1]
-            ahead *= (rim[corner_nodes] / np.linalg.norm(ahead, axis=2))[:, :, None]
+            ahead *= (at_rim / np.linalg.norm(ahead, axis=2))[:, :, None]
             self.across = np.concatenate([self.across, ahead], axis=1)
-        # in 3D flat slabs of one layer of cells have no facets but at the rim
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
-        # facets whose geometry is known go on at rims
-        at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
+        at_end = at_edge | at_rim.any(axis=1) & ~flat & ~self._exact
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
-        self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
-        self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
+        self.turns_to_ends = np.where(at_end, to_ends, turns_at_kinks)
+
+    def _heights_of_pairs(self, smooth: Array, cosines: Array) -> Array:
+        """Return the factors (n, pairs) of h_c h_d in the height of the fitted surface [length].
+
+        They are zero next to kinks, where facets are not `smooth` (n,), and on all facets if none
+        has a height beyond rounding. `cosines` (n, corners) are between nodal and facets' normals.
+        """
+        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
+        # both is right to fourth order in the angle.
+        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        start, end = self._slopes()
+        heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        facets, sizes = self.facets, np.ptp(self._corners, axis=1).max(axis=1)
+        rounding = (MESH_ROUNDING + facets.rounding) * sizes
+        has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
+        return np.asarray(heights * (has_height and not facets.bent))
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
@@ -154,24 +166,25 @@ class SmoothSurface:
     def _smoothness(self, nodes: SurfaceNodes, rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
-        Nodal normals at the rim (nodes,) are less accurate, so a facet there is as smooth as those
-        that surround its other corners. If there are none, the facets of a curve count as kinked.
-        On a surface (3D), such as a strip one facet wide, the least smooth facet around counts.
+        Nodal normals at the rim (nodes,) are less accurate. So a facet there is as smooth as the
+        least smooth facet around its other corners that is not at the rim itself. If there is none,
+        the facets of a curve (2D) count as kinked; on a surface, such as a strip one facet wide,
+        the least smooth of all facets around counts.
         """
         # slopes at both ends of a side: opposite on a parabola, equal at a kink
         start, end = self._slopes()
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
         unevenness = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
-        result = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
+        own = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
         corner_nodes = nodes.facet_nodes
         at_rim = rim[corner_nodes]
         inner = ~at_rim.any(axis=1)
-        of_inner = nodes.reduced(np.minimum, result[inner, None], np.inf, inner)[corner_nodes]
+        of_inner = nodes.reduced(np.minimum, own[inner, None], np.inf, inner)[corner_nodes]
         around = np.where(at_rim, np.inf, of_inner).min(axis=1, initial=np.inf)
-        of_all = nodes.reduced(np.minimum, result[:, None], np.inf)[corner_nodes].min(axis=1)
+        of_all = nodes.reduced(np.minimum, own[:, None], np.inf)[corner_nodes].min(axis=1)
         without_inner = 0.0 if self.facets.dim == 1 else of_all
-        return np.where(inner, result, np.where(np.isinf(around), without_inner, around))
+        return np.where(inner, own, np.where(np.isinf(around), without_inner, around))
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
@@ -200,10 +213,10 @@ class SmoothSurface:
         return dots(hats[:, self._first] * hats[:, self._second], self._height_factors[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
-        """Return vectors (n, 3) from points x (n, dim) of facets to the surface, and its normals.
+        """Return vectors [length] from facets (n,) to the surface, and its unit normals, (n, 3).
 
-        This is the exact surface where it is known, else the fitted one; bent facets are their own
-        surface.
+        They are at one reference point x (n, dim) of each facet. The surface is the exact one where
+        it is known, else the fitted one; bent facets are their own surface.
         """
         facets = self.facets
         hats = facets.hats(x)
@@ -229,9 +242,10 @@ class SmoothSurface:
     ) -> Mask:
         """Return whether this surface and a partner may touch at opposite points (n,).
 
-        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`), and beside a
-        sharp edge if the partner is opposed to the edge, whose normals are all between those of its
-        patches. But where it is opposed to a patch across the edge, the contact is on that patch.
+        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`). A sharp edge
+        has all normals between those of its patches: beside an edge of either side, points may also
+        touch if the normal of the opposite point is opposed to the edge, but not if it is opposed
+        to the patch across the edge, since the contact is on that patch.
         """
         turned = self.turns[facet] + partner.turns[partner_facet]
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
@@ -242,25 +256,30 @@ class SmoothSurface:
             (partner_normals, normals, partner.across[partner_facet]),
         ):
             opposed = -dots(across, facing[:, None])
+            # the reversed normal of the opposite point leans towards the patch across the edge
             at_edge |= (opposed > cosine[:, None] * dots(across, own[:, None])).any(axis=1)
             across_edge |= (opposed >= least[:, None]).any(axis=1)
         return np.asarray((cosine >= least) | at_edge & ~across_edge)
 
 
 def _normals_across_edges(nodes: SurfaceNodes) -> Array:
-    """Return the normals (n, k, 3) of the other patches at sharp corners of facets; else zero."""
-    corners, number = nodes.facet_nodes, nodes.numbers[nodes.facet_nodes]
-    ends = np.searchsorted(nodes.numbers, number, side="right")
-    patches = ends - np.searchsorted(nodes.numbers, number)
-    place = np.arange(1, 1 + patches.max(initial=1))
-    entry = ends[:, :, None] - np.minimum(place, patches[:, :, None])
-    normals = nodes.normals[entry] * (entry != corners[:, :, None])[:, :, :, None]
-    result = normals.reshape(len(corners), np.prod(entry.shape[1:], dtype=int), 3)
+    """Return the normals (n, k, 3) of the other smooth patches at the corners of each facet.
+
+    The number k of rows is that of the facet with the most; rows are zero or repeated elsewhere.
+    """
+    own = nodes.facet_nodes
+    # the entries of a node, one for each patch, follow each other in `nodes`
+    start, end = (np.searchsorted(nodes.numbers, nodes.numbers[own], s) for s in ("left", "right"))
+    most = (end - start).max(initial=1)
+    entry = np.minimum(start[:, :, None] + np.arange(most), end[:, :, None] - 1)
+    normals = nodes.normals[entry]  # (n, corners, most, 3)
+    normals[entry == own[:, :, None]] = 0.0
+    result = normals.reshape(len(own), most * own.shape[1], 3)
     return np.asarray(result[:, result.any(axis=(0, 2))])
 
 
 def turned_angles(cosines: Array) -> Array:
-    """Return the angles (n,) by which normals turn [rad], by cosines (n, corners) to the mean."""
+    """Return twice the largest angle (n,) [rad] of those with cosines (n, corners)."""
     least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
     return np.asarray(2.0 * np.arccos(least))
 
@@ -283,12 +302,13 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     few neighbours the mean is kept. Valid at nodes whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
-    # all pairs of two corners of a facet; the fit is in units of the distance of neighbours
+    # all pairs of two corners of a facet: a neighbour counts once for each facet that has both
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
     neighbour = np.tile(nodes.facet_nodes, corners).ravel()
     node, neighbour = node[node != neighbour], neighbour[node != neighbour]
     x_axis, y_axis = tangents(nodes.normals).swapaxes(0, 1)
     offset = nodes.points[neighbour] - nodes.points[node]
+    # the fit is in units of the distance of neighbours, along tangents and the mean normal
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
     spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
     offset = offset / spacing[node][:, None]
