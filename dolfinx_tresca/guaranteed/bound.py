@@ -92,7 +92,19 @@ class Candidate(NamedTuple):
 
 
 class Bodies:
-    """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium."""
+    """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium.
+
+    Attributes:
+        cells: the n cells of this rank.
+        stiffness: (n, d * d, d * d) their elasticity tensors.
+        energies: the norms of stresses.
+        unknown: (n, d + 1, d) whether a component of the traction on a facet is unknown: inside the
+            body, and where the displacement of all nodes is prescribed along it.
+        stars: the stars of vertices.
+        factors: (n, d + 2) bounds of the work of loads, see `forms.loads`.
+        load: (n, d + 1, d + 1, d) loading of the form L.
+        oscillation: (n,) bounds of the work that it lacks.
+    """
 
     def __init__(self, linear: LinearSystem, dual: DualProgram) -> None:
         """Check what the bound covers, and factor the equations of all stars. Collective."""
@@ -111,15 +123,16 @@ class Bodies:
         self.energies = StressEnergies(cells, inverse)
         prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
         held = prescribed[cells.facet_nodes].all(axis=(2, 3))
-        self.unknown = held | (cells.sides[cells.facets, 0] == 2.0)  # or inside
+        self.unknown = held | (cells.sides[cells.facets, 0] == 2.0)
         self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
         self.factors = cells.load_factors() / np.sqrt(least)[:, None]
         self.factors[:, 1:] *= ~held.all(axis=2)  # facets that are held take any load
         self.load, self.oscillation = loads(L, cells, self.factors, maps)
 
     def loading_of(self, w: fem.Function) -> Array:
-        """Return the loading of the stress of a displacement."""
+        """Return the loading (n, d + 1, d + 1, d) of the stress of a displacement."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
+        # at vertex i, C_ij lambda_i lambda_j summed has the gradient 2 C_ij grad lambda_j summed
         coefficients = 2.0 * np.swapaxes(bernstein(w.x.array.reshape(-1, d)[cells.nodes]), 2, 3)
         slopes = coefficients.reshape(n, corners * d, corners) @ cells.gradients
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
@@ -138,11 +151,15 @@ class Bodies:
     def candidate(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, load: Array
     ) -> Candidate:
-        """Return the candidate of a load; this takes one solve with K. Collective.
+        """Return the candidate of a load (n, d + 1, d + 1, d), with one solve with K. Collective.
 
-        The multipliers (size,) are of the dual problem that was solved, for this or another load.
+        The multipliers (size,) and u are the solution for this or another load.
+
+        Raises:
+            ContactError: cells are not in equilibrium, since a point holds a force.
         """
         cells, d, given = self.cells, self.cells.d, load.copy()
+        # what contact gives: tractions, and a displacement that does not penetrate
         at_solution = dual.section_at(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
@@ -153,25 +170,34 @@ class Bodies:
             surface.lift(v)
             for cell, facet, tractions in surface.sides:
                 given[cell, facet, :d] += tractions
-        # forces at vertices balance hat functions, for displacements of any degree
+        # A stress in discrete equilibrium: forces at vertices balance hat functions, for
+        # displacements of any degree. Its tractions take the place of unknown ones.
         of_u, force = self.loading_of(u), zero_like(u, "force")
         missing, vertices = cells.resultants(given - of_u), np.einsum("nkk->nk", cells.nodes)
         force.x.array[:] = summed_at_nodes(self.V.dofmap.index_map, vertices, missing).ravel()
         discrete = of_u + self.loading_of(self.response(dual, force, rtol=1e-12))
         np.copyto(given[:, :, :d], discrete[:, :, :d], where=self.unknown[:, :, None])
         loading = self.stars.equilibrated(given, discrete)
+        self._check_equilibrium(loading, of_u)
+        return Candidate(loading, v, surfaces)
+
+    def _check_equilibrium(self, loading: Array, of_u: Array) -> None:
+        """Raise ContactError if a loading has a force or moment on any cell. Collective.
+
+        Forces are compared with those of the loading and of the solution's stress, `of_u`: a stress
+        that balances L alone may be free of forces.
+        """
+        cells = self.cells
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), cells.resultants(loading))
-        # a stress that balances L alone may be free of forces, but not that of u
-        forces = cells.areas[:, :, None, None] * np.maximum(np.abs(loading), np.abs(of_u))[:, :, :d]
-        lack, size = largest_abs(self.comm, lacking, forces)
+        largest = np.maximum(np.abs(loading), np.abs(of_u))[:, :, : cells.d]
+        lack, size = largest_abs(self.comm, lacking, cells.areas[:, :, None, None] * largest)
         if not lack <= IMBALANCE * size:  # NaN fails, too
             raise ContactError(
                 f"the displacement is not in equilibrium: on a cell, forces of {lack:.1e} are "
                 f"missing, where forces on facets are up to {size:.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
-        return Candidate(loading, v, surfaces)
 
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
         """Return `ContactSurface.defects` (n, 2) [energy] over the facets of cells. Collective."""
@@ -181,14 +207,16 @@ class Bodies:
         return result
 
     def shorten(self, difference: Array, gain: float) -> None:
-        """Add tractions without resultants that make a stress smaller, in place. Collective.
+        """Lower the norm of a stress by tractions that leave cells in equilibrium. Collective.
 
-        `difference` is its loading. Steps end if one lowers its norm by less than the part `gain`.
+        These are steps of the preconditioned conjugate gradient method (`Stars.preconditioned`), in
+        place in the loading `difference`. They end if a step lowers the squared norm by less than
+        the part `gain` of twice this square or, if that is less, of the decrease so far: for goals
+        the norm is large by itself, and its decrease tells more.
         """
         descent = -self.energies.derivative(difference)
         square = -float(reduce_array(self.comm, (difference * descent).sum()))
         direction, previous, lowered, total = np.zeros_like(descent), np.inf, square, 0.0
-        # for goals the distance is large by itself, and its decrease tells more
         while lowered > gain * min(total, 2.0 * square) and square > 0.0:
             step = self.stars.preconditioned(descent)
             slope = float(reduce_array(self.comm, (step * descent).sum()))
@@ -205,15 +233,19 @@ class Bodies:
     def error(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, gain: float = GAIN
     ) -> GuaranteedError:
-        """Return a bound of the error of a solution, with one solve with K. Collective."""
+        """Return a bound of the error of a solution, with one solve with K. Collective.
+
+        The exact stress is in a ball round the mean of the stresses of the candidate, s and s(v):
+        the radius is |s - s(v)| / 2, but for contact and the oscillation.
+        """
         loading, v, surfaces = self.candidate(dual, multipliers, u, self.load)
         of_u, of_v, defects = self.loading_of(u), self.loading_of(v), self.defects(surfaces, v)
         difference = loading - of_v
         self.shorten(difference, gain)
+        # squared norms (n,) of s - s(v), of the distance of s(u) from the mean, and of s(u) - s(v)
         stresses = difference, of_u - of_v - 0.5 * difference, of_u - of_v
         square, from_mean, moved = map(self.energies.squared_norms, stresses)
         eta = (np.sqrt(square) + self.oscillation) ** 2
-        # near the mean of both stresses is the centre of a ball that contains the exact stress
         offset = (np.sqrt(from_mean) + 0.5 * self.oscillation) ** 2
         terms = eta, offset, square, self.oscillation**2, moved, *defects.T
         *squares, complementarity, friction = reduce_array(self.comm, [t.sum() for t in terms])
@@ -253,13 +285,20 @@ class Functional:
     """A goal that is linear in the displacement v, as J(v) or, for a force, a(w, v) - L(w).
 
     Attributes:
-        form: the linear form: J, or a(w, v); `derivative` is its vector.
-        w: the displacement that the form causes as a load, without contact; exact for a force.
+        form: the linear form: J, or a(w, v).
+        derivative: the vector of the form.
+        w: the displacement that the form causes as a load, without contact. For a force it is
+            given, the unit displacement of the nodes of the pair; else it is computed roughly.
         constant: L(w) for a force, else zero.
+        load: the loading of J; zero for a force, which the stress of w balances.
     """
 
     def __init__(self, goal: Any, bodies: Bodies, dual: DualProgram) -> None:
-        """Check a goal. Collective."""
+        """Check a goal, and find its form, w and load. Collective.
+
+        Raises:
+            InputError: the goal is none of these, or bounds depend on the pressure.
+        """
         bodies.cells.require(
             dual.admissible.has_given_bounds,
             "slip bounds that do not depend on the pressure if it is of a goal",
@@ -290,7 +329,6 @@ class Functional:
         self.derivative = assembled(self.form, bodies.V, linear.entity_maps)
         if not is_force:
             self.w = bodies.response(dual, self.derivative, rtol=0.1)
-        # as a load a force is balanced by the stress of w
         self._stress = bodies.loading_of(self.w) if is_force else 0.0
         L = None if is_force else self.form
         self.load, self._oscillation = loads(L, bodies.cells, bodies.factors, linear.entity_maps)
@@ -311,6 +349,7 @@ class Functional:
         The collective function `candidate_at` returns the candidate of the load L + t J; if the
         goal is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
         """
+        # positive and negative t in turn
         bodies, limits = self._bodies, []
         size = self._dual.norm_of(u) / self._dual.norm_of(self.w)
         sizes = [sign * multiple * size for multiple in MULTIPLES for sign in (1.0, -1.0)]

@@ -25,13 +25,17 @@ QUADRATURE = {"quadrature_degree": 10}
 
 
 def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, ...]:
-    """Return elasticity tensors (n, d * d, d * d), their inverses, and least eigenvalues (n,).
+    """Return the elasticity tensors of a form a(w, v) in each cell. Collective.
 
-    Inverses are in terms of `symmetric`.
+    For each matrix G with a single entry 1, w = G x gives forces a(w, v) on quadratic displacements
+    v of each cell. The mean stresses of these forces, for symmetric G, are the tensor.
 
-    For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell.
-    Their symmetric mean stresses for symmetric gradients make the tensor, which must explain the
-    forces. Collective.
+    Returns:
+        the tensors (n, d * d, d * d), their inverses (n, k, k) in terms of `symmetric`, and their
+        least eigenvalues (n,).
+
+    Raises:
+        InputError: the tensors do not explain all forces, or are not positive.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
@@ -42,7 +46,8 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     for gradient in np.eye(d * d).reshape(-1, d, d):
         slope.value = gradient
         results.append(fem.assemble_vector(work).array.reshape(-1, d)[cells.dofs])
-    forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]  # (n, d * d, k, d)
+    # forces (n, d * d, k, d) on the nodes of a cell for each G, divided by the cell's volume
+    forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]
 
     # a mean stress is the work on linear functions
     places, basis, _ = lagrange(corners)
@@ -50,11 +55,15 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
     moduli = symmetric(d).T @ stresses.reshape(n, d * d, d * d) @ symmetric(d)
     stiffness = symmetric(d) @ moduli @ symmetric(d).T
+    least = np.linalg.eigvalsh(moduli)[:, 0]
+
+    # A constant stress exerts on a node itself times the mean slope of the node's function, and
+    # grad (lambda_i lambda_j) has the mean (grad lambda_i + grad lambda_j) / corners. No other
+    # forces may remain: those of antisymmetric G would give rotations an energy.
     mean_slopes = 2.0 / corners * basis.sum(axis=0).T @ cells.gradients
     of_mean_stress = mean_slopes[:, None] @ stiffness.reshape(stresses.shape)
     difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
     rounding = STIFFNESS_ROUNDING * np.trace(moduli, axis1=1, axis2=2) / cells.heights.min(axis=1)
-    least = np.linalg.eigvalsh(moduli)[:, 0]
     kinds = {integral.integral_type() for integral in a.integrals()}
     cells.require(
         kinds == {"cell"} and (difference <= rounding).all() and (least > 0.0).all(),
@@ -69,7 +78,7 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
 def loads(
     L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps | None
 ) -> tuple[Array, Array]:
-    """Return the linear projections of the loads of a form, and their distances. Collective.
+    """Return the loads of a form, projected onto linear functions, and what they lack. Collective.
 
     `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
     relative to the energy norm: in the cell, and on each facet.
@@ -77,6 +86,9 @@ def loads(
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
         bounds (n,) of the work of the loads minus their projections, relative to the energy norm.
+
+    Raises:
+        InputError: the form has other integrals, or depends on gradients.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     loading, oscillation = np.zeros((n, corners, corners, d)), np.zeros(n)
@@ -90,6 +102,7 @@ def loads(
         f"has integrals of the kinds {sorted(kinds)}, or depends on the gradient of the "
         "displacement, as an initial stress does",
     )
+    # the projection in a cell has unknowns of this space; on a facet those at its vertices
     linears = fem.functionspace(mesh, ("DG", 1, (d,)))
     test, weight = map(ufl.TestFunction, (linears, fem.functionspace(mesh, ("DG", 0))))
     projection = fem.Function(linears)
@@ -103,18 +116,18 @@ def loads(
     for integral in L.integrals():
         axes = (ufl.replace(integral.integrand(), {argument: ufl.as_vector(e)}) for e in np.eye(d))
         load = ufl.as_vector(list(axes))
-        difference, on_part, numbers = load - projection, 1.0, range(1)
+        difference, on_domain, domains = load - projection, 1.0, range(1)  # 0 is the cell
         if integral.integral_type() != "cell":
-            on_part, numbers = on_facet, range(1, corners + 1)
+            on_domain, domains = on_facet, range(1, corners + 1)
         moments, squares = (
             fem.form(
-                ufl.Form([integral.reconstruct(on_part * values, metadata=QUADRATURE)]),
+                ufl.Form([integral.reconstruct(on_domain * values, metadata=QUADRATURE)]),
                 entity_maps=maps,
             )
             for values in (ufl.inner(load, test), ufl.inner(difference, difference) * weight)
         )
-        for number in numbers:
-            dof = dofs[:, np.arange(corners) != number - 1]
+        for number in domains:
+            dof = dofs[:, np.arange(corners) != number - 1]  # without the opposite vertex
             normal.x.array.reshape(-1, d)[:n] = cells.normals[:, number - 1]
             work = fem.assemble_vector(moments).array.reshape(-1, d)[dof]
             work /= sizes[:, number, None, None]

@@ -87,9 +87,9 @@ class SmoothSurface:
             between the normal of the facet and the normals at its corners. On a circle this is the
             angle that the facet spans; next to a kink it is zero.
         is_flat: whether no facet of this rank has a height, and no normal turns.
-        across: (n, k, 3) outward unit normals of the other smooth patches at the corners of each
-            facet, which are behind sharp edges; zero rows stand for missing ones. At the ends of a
-            curve (2D) the body is taken to go on at right angles, as at the corner of a box.
+        across: (n, k, 3) outward unit normals of the smooth patches behind the sharp edges at each
+            facet (`_normals_across_edges`). At the ends of a curve (2D) the body is taken to go on
+            at right angles, as at the corner of a box.
         turns_to_ends: (n,) the `turns`, but next to a kink those of the mean normals there, and at
             least a right angle where the smooth surface ends [rad]: normals are less accurate at
             both, and the partner's decide. The surface ends at sharp edges and at rims, in 3D only

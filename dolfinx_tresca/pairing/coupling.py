@@ -30,7 +30,7 @@ from dolfinx_tresca.pairing.facets import (
 from dolfinx_tresca.pairing.mortar_integrals import FacetIntegrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import owners_flags, owns
-from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed
+from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
@@ -245,9 +245,16 @@ def couple(
         if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
 
+    # the share of each pair of the group in a node's area, from the areas of overlaps
+    facet, partner = integrals.pairs.T
+    column = partner if primary is None else primary.tag_index[partner]
+    pair_index = group.pair_of_tags[facets.tag_index[facet], column]
+    shares: Array = np.zeros((len(nodes.numbers), len(group.pairs)))
+    areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
+    np.add.at(shares, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
+
     # from here on, arrays have rows for the nodes with multipliers alone
-    weights = weights[position]
-    shares = _pair_areas(group, nodes, primary, integrals, spread)[position]
+    weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
@@ -309,23 +316,6 @@ def _dual_means(
         across = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, width)
     means = np.concatenate([dual @ integrals.means, own_rows @ facets.points], axis=2)
     return within, across, nodes.reduced(np.add, means, 0.0)
-
-
-def _pair_areas(
-    group: PairGroup,
-    nodes: SurfaceNodes,
-    primary: Facets | None,
-    integrals: FacetIntegrals,
-    spread: Array,
-) -> Array:
-    """Return the areas (n, pairs) of overlaps by which a node belongs to each pair of the group."""
-    facet, partner = integrals.pairs.T
-    areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
-    column = partner if primary is None else primary.tag_index[partner]
-    pair_index = group.pair_of_tags[nodes.facets.tag_index[facet], column]
-    result: Array = np.zeros((len(nodes.numbers), len(group.pairs)))
-    np.add.at(result, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
-    return result
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) -> None:

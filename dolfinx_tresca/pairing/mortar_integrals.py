@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from mpi4py import MPI
 
@@ -88,6 +89,10 @@ class FacetIntegrals:
     partner: Array
 
 
+#: The pieces and the smooth surface of the secondary side, and those of the primary side.
+Sides: TypeAlias = tuple[tuple[Pieces, SmoothSurface], tuple[Pieces, SmoothSurface]]
+
+
 class _PointsOfSide:
     """Points of the facets of one side, opposite to quadrature points in planes of pieces.
 
@@ -112,10 +117,10 @@ class _CutOverlaps:
     """Overlaps of pairs of pieces, cut into m simplices with q quadrature points each.
 
     Attributes:
-        piece: (pairs,) secondary piece of each pair, ascending; its plane has the overlap.
-        partner_piece: (pairs,) primary piece.
-        facet: (pairs,) secondary facet.
-        partner: (pairs,) primary facet.
+        piece: (pairs,) secondary piece of each pair, ascending; the overlap is in its plane.
+        partner_piece: (pairs,) primary piece of each pair.
+        facet: (pairs,) secondary facet of each pair.
+        partner: (pairs,) primary facet of each pair.
         simplices: (m, dim + 1, dim) corners of the simplices in the plane [length].
         areas: (m,) areas of the simplices [length^dim].
         pair: (m,) pair of each simplex, ascending.
@@ -127,42 +132,28 @@ class _CutOverlaps:
     """
 
     def __init__(
-        self,
-        pieces: tuple[Pieces, Pieces],
-        surfaces: tuple[SmoothSurface, SmoothSurface],
-        pairs: tuple[Indices, Indices],
-        barycentric: Array,
-        rounding: Array,
+        self, sides: Sides, piece: Indices, partner_piece: Indices, points: Array, rounding: Array
     ) -> None:
-        """Cut the overlaps of `pairs` of pieces, of which the secondary side comes first.
+        """Cut the overlaps of pairs of pieces, except for areas within `rounding` (pieces,).
 
-        The quadrature points of a simplex are `barycentric` (q, dim + 1); simplices with areas
-        within `rounding` (secondary pieces,) are dropped.
+        The quadrature `points` (q, dim + 1) of a simplex are given in barycentric coordinates.
         """
-        self.piece, self.partner_piece = pairs
-        self.facet, self.partner = (
-            side.facet[piece] for side, piece in zip(pieces, pairs, strict=True)
+        (pieces, surface), (partners, partner_surface) = sides
+        self.piece, self.partner_piece = piece, partner_piece
+        self.facet, self.partner = pieces.facet[piece], partners.facet[partner_piece]
+        simplices, areas, pair = overlaps(
+            pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1],
+            pieces.local_coordinates(piece, partners.points[partner_piece])[:, :, :-1],
         )
-        plane, dim = pieces[0], barycentric.shape[1] - 1
-        polygons = (
-            plane.local_coordinates(self.piece, side.points[piece])[:, :, :dim]
-            for side, piece in zip(pieces, pairs, strict=True)
-        )
-        simplices, areas, pair = overlaps(*polygons)
-        large = areas > rounding[self.piece][pair]
+        large = areas > rounding[piece][pair]
         self.simplices, self.areas, self.pair = simplices[large], areas[large], pair[large]
-        self.pair_of_point = point_pair = np.repeat(self.pair, len(barycentric))
-        self.places = np.einsum("qc,mcd->mqd", barycentric, self.simplices).reshape(-1, dim)
-        self.secondary, self.primary = (
-            _PointsOfSide(
-                surface,
-                facet[point_pair],
-                plane.local_coordinates(self.piece, surface.facets.points[facet])[point_pair],
-                self.places,
-            )
-            for surface, facet in zip(surfaces, (self.facet, self.partner), strict=True)
-        )
-        self.hats = surfaces[0].facets.hats(self.secondary.x)
+        self.places = (points @ self.simplices).reshape(-1, simplices.shape[2])
+        self.pair_of_point = point = np.repeat(self.pair, len(points))
+        own = pieces.local_coordinates(piece, surface.facets.points[self.facet])[point]
+        self.secondary = _PointsOfSide(surface, self.facet[point], own, self.places)
+        theirs = pieces.local_coordinates(piece, partner_surface.facets.points[self.partner])[point]
+        self.primary = _PointsOfSide(partner_surface, self.partner[point], theirs, self.places)
+        self.hats = surface.facets.hats(self.secondary.x)
 
 
 class MortarIntegrals(FacetIntegrals):
@@ -270,8 +261,8 @@ class MortarIntegrals(FacetIntegrals):
         distance [length]. With `covered_only`, nothing is added on pieces that these pairs do not
         cover fully. Return which pieces (pieces,) the pairs cover fully, whatever the roles are.
         """
-        pieces, surfaces = (self._pieces, self._partners), (self._surface, self._partner_surface)
-        cut = _CutOverlaps(pieces, surfaces, (mine, partners), self._barycentric, self._rounding)
+        sides = (self._pieces, self._surface), (self._partners, self._partner_surface)
+        cut = _CutOverlaps(sides, mine, partners, self._barycentric, self._rounding)
         seen = self._seen_weights(cut, limit)
         # where the roles are exchanged, points cover the piece, but are not integrated over
         weight, opposite = seen, np.zeros(len(mine), dtype=np.bool_)

@@ -274,10 +274,6 @@ class SelfContact:
         self.present_centre = facets.points[:, : facets.corners].mean(axis=1)
         self.present_normal = facets.mean_normals
 
-    def _facing_before(self, facet: Indices, partner: Indices) -> Mask:
-        """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""
-        return dots(self.normal[facet], self.normal[partner]) < -FACING_COSINE
-
     def may_meet(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
@@ -290,7 +286,7 @@ class SelfContact:
         """
         f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
-        neighbours = common & ~self._facing_before(f, g)
+        neighbours = common & (dots(self.normal[f], self.normal[g]) >= -FACING_COSINE)
         shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH) * (self.radius[f] + self.radius[g])
         undeformed = _least_depth(self.centre, self.normal, f, g)
         present = _least_depth(self.present_centre, self.present_normal, f, g)
@@ -306,11 +302,9 @@ class SelfContact:
         """
         f, g = facet, partner
         of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
-        towards = np.where(
-            self._facing_before(f, g)[:, None],
-            self.normal[f] - self.normal[g],
-            self.centre[g] - self.centre[f],
-        )
+        faced = dots(self.normal[f], self.normal[g])[:, None] < -FACING_COSINE
+        turned, ahead = self.normal[f] - self.normal[g], self.centre[g] - self.centre[f]
+        towards = np.where(faced, turned, ahead)
         return np.where(self.body[f] == self.body[g], towards @ ORDER > 0.0, of_bodies)
 
 
