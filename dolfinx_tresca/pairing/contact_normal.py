@@ -2,13 +2,11 @@
 
 Where two smooth surfaces touch, their normals are opposed, and either one is the contact normal.
 Facets approximate surfaces, so the normals of both sides differ by angles of the size by which the
-normals turn from facet to facet. The first variation of the gap between two surfaces is the jump
-of the displacement along the normal of the side whose normal is better known: at a kink, on a
-chamfer, next to a sharp edge or at the rim of a surface, this is the partner's; where a small
-roller lies on a strip, it is the strip's. So the contact normal is the mean of the own normal and
-of the reversed normal of the partner, each weighted by the inverse square of the angle by which the
-side's normal turns over the facet there. The rule is symmetric: if the sides are exchanged, the
-contact normal is reversed.
+normals turn from facet to facet. The first variation of the gap is the jump of the displacement
+along the normal of the side whose normal is better known: at a kink, on a chamfer, next to a sharp
+edge or at a rim, this is the partner's. So the contact normal is the mean of the own normal and of
+the reversed normal of the partner, each weighted by the inverse square of the angle by which the
+side's normal turns over the facet there. If the sides are exchanged, it is reversed.
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
 vector between the surfaces, projected onto this direction, so that the rows of N are its variation.

@@ -48,7 +48,7 @@ class ContactOperators:
     areas of the rows' nodes, p the pressure, t the tangential traction and g the slip bound. The
     solution satisfies K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap
     and p (gap - N u) = 0; and at each node |t| <= g and T u = c t with a factor c >= 0, which is 0
-    if |t| < g.
+    if |t| < g. The how-to on embedding solves such a problem by non-negative least squares.
 
     Attributes:
         nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
@@ -60,22 +60,6 @@ class ContactOperators:
         tangents: (rows of T, d) unit vectors: each row of T is the jump along its vector.
         tangent_node: (rows of T,) index in `nodes` of each row of T; nodes have up to two rows in
             3D.
-
-    Example:
-        The cube in the example of `ContactProblem`, on one rank. Non-negative least squares
-        find the forces F >= 0 that minimise 1/2 F'A F - F'b, where A = N K^-1 N' = C C' and
-        b = N K^-1 f - gap.
-
-        >>> from scipy.optimize import nnls
-        >>> from scipy.sparse import csr_array
-        >>> from scipy.sparse.linalg import splu
-        >>> one = problem.operators[0]
-        >>> K, N = (csr_array(M.getValuesCSR()[::-1], M.size) for M in (problem.stiffness, one.N))
-        >>> displaced = splu(K.tocsc()).solve(N.T.toarray())
-        >>> C = np.linalg.cholesky(N @ displaced)
-        >>> F, _ = nnls(C.T, np.linalg.solve(C, displaced.T @ problem.load.array - one.gap))
-        >>> f"{F.sum():.2f} N, {(F / one.weights[one.normal_node]).max():.2f} MPa"
-        '1.00 N, 1.00 MPa'
     """
 
     def __init__(

@@ -166,7 +166,7 @@ class Facets:
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with nodes at points (n, k, 3); `bent` is that of this rank."""
         displaced = replace(self, points=points)
-        if self.has_exact_surface:
+        if self.has_exact_surface:  # the offsets turn with the facets
             local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
             offsets = np.einsum("nqd,ndi->nqi", local, displaced.frames())
             displaced = replace(displaced, offsets=offsets)
@@ -199,7 +199,7 @@ class Facets:
         return np.asarray(cross_products(along) * self.outward[facet, None])
 
     def coincide(self, facet: Indices, primary: Facets, partner: Indices) -> Mask:
-        """Return whether facets (p,) and partners (p,) on the primary side have equal corners."""
+        """Return whether all corners of facets (p,) are at corners of primary facets (p,)."""
         corners = self.points[facet, : self.corners]
         offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
         diameters = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
@@ -260,10 +260,10 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
-    """Find the reference points (n, dim) of facets whose images are given points of a plane.
+    """Find the reference points (n, dim) of facets whose images are the `target` points (n, dim).
 
-    Each point (n, dim) has a facet, whose nodes (n, k, dim) are projected into the plane [length].
-    Only the cell and degree of `facets` are used.
+    Each target has a facet with nodes (n, k, dim), projected into a plane [length]; `facets` gives
+    their cell and degree.
     """
     # the affine map is exact for straight segments, triangles and parallelograms
     sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(facets.dim)], axis=2)
@@ -355,7 +355,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     corners = facets.points[:, : facets.corners]
     normals = unit(facets.area_vectors(facets.lagrange_points(1)))
     order = facets.corners_round
-    place = np.argsort(order)
+    place = np.argsort(order)  # the place of each corner in the order round the facet
     before = corners[:, order[place - 1]] - corners
     after = corners[:, np.roll(order, -1)[place]] - corners
     squares = np.square(before).sum(axis=2) * np.square(after).sum(axis=2)
@@ -367,9 +367,10 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 
 
 def free_normals(vectors: Array, free: Mask) -> Array:
-    """Return unit normals (n, 3) along vectors, without components that are not free (n, dim).
+    """Return unit normals (n, 3) along vectors, without components that are not `free` (n, dim).
 
-    A vector keeps all of them if its free part is at most `FACING_COSINE` of its length.
+    A vector keeps all components if the length of its free ones is at most `FACING_COSINE` of its
+    length.
     """
     normals = unit(vectors)
     movable = normals.copy()
@@ -381,19 +382,22 @@ def free_normals(vectors: Array, free: Mask) -> Array:
 
 
 def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
-    """Return the smooth patch (n,) of facet corners (n,), by nodes, and the node of each patch.
+    """Return the smooth patch (n,) of facets' corners (n,), and the node (patches,) of each patch.
 
-    Two corners at one node, which have unit normals (n, 3), are in the same patch if these differ
-    by at most `EDGE_ANGLE`, or if a chain of such corners connects them. So a fillet is smooth.
+    The corners are at `node` (n,), where their facets have unit normals (n, 3). Two corners at one
+    node are in the same patch if their normals differ by at most `EDGE_ANGLE`, or if a chain of
+    such corners connects them. So a fillet is smooth.
     """
     corners = np.arange(len(node))
     shape = len(node), int(node.max(initial=-1)) + 1
+    # all pairs of corners at one node
     at_node = coo_array((np.ones(len(node)), (corners, node)), shape=shape)
     corner, partner = (at_node @ at_node.T).nonzero()
     near = dots(normals[corner], normals[partner]) >= math.cos(math.radians(EDGE_ANGLE))
     links = np.ones(near.sum()), (corner[near], partner[near])
     graph = coo_array(links, shape=(len(node), len(node)))
     count, component = connected_components(graph, directed=False)
+    # numbers of patches ascend with their nodes
     patches, patch = np.unique(node * count + component, return_inverse=True)
     return patch, patches // max(count, 1)
 

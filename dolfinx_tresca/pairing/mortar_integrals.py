@@ -147,7 +147,8 @@ class _CutOverlaps:
         )
         large = areas > rounding[piece][pair]
         self.simplices, self.areas, self.pair = simplices[large], areas[large], pair[large]
-        self.places = (points @ self.simplices).reshape(-1, simplices.shape[2])
+        places = np.einsum("qc,mcd->mqd", points, self.simplices)
+        self.places = places.reshape(-1, simplices.shape[2])
         self.pair_of_point = point = np.repeat(self.pair, len(points))
         own = pieces.local_coordinates(piece, surface.facets.points[self.facet])[point]
         self.secondary = _PointsOfSide(surface, self.facet[point], own, self.places)

@@ -142,7 +142,7 @@ class PairOperators:
 
 
 def joined(operators: Sequence[PairOperators]) -> PairOperators:
-    """Return the operators at the nodes of several parts of one group."""
+    """Return the operators at the nodes of several operators of one group, in their order."""
     changes: dict[str, Any] = {}
     for name in (*NODE_ARRAYS, *TANGENTIAL_ARRAYS):
         arrays = [getattr(pair, name) for pair in operators]
@@ -154,8 +154,10 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
 
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
-    """Return rows (n, dofs) of the jump (nodes, nodes of V) along unit vectors (n, d)."""
-    # each entry becomes dim entries, in the columns of its node's components
+    """Return sparse `rows` (n,) of a jump (nodes, nodes of V) along unit vectors (n, d), (n, dofs).
+
+    Each entry becomes d entries, in the columns of its node's components.
+    """
     dim, of_rows = directions.shape[1], jump[rows]
     values = np.repeat(directions, np.diff(of_rows.indptr), axis=0) * of_rows.data[:, None]
     columns = of_rows.indices.astype(np.int64)[:, None] * dim + np.arange(dim)

@@ -48,9 +48,8 @@ def line_intervals(
 ) -> tuple[Array, Array]:
     """Intersect lines with a box (2, 3), widened on all sides by the reach (n,) of each line.
 
-    The lines have origins (n, 3) and unit directions (n, 3). Return the parameters (n,) at which
-    they enter and leave the box [length]; the first one is the greater one if a line misses the
-    box.
+    Return the parameters (n,) [length] at which lines with origins (n, 3) and unit directions
+    (n, 3) enter and leave the box. A line that misses the box enters later than it leaves.
     """
     # a line that is parallel to a side of the box meets its plane far away
     slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
@@ -114,16 +113,16 @@ class Pieces:
     def on_normals(
         self, centres: Array, normals: Array, radii: Array, limit: Array
     ) -> tuple[Indices, Indices]:
-        """Find the pieces that given balls may meet if they move along their normals.
+        """Find the pieces, as the balls that enclose them, that moving balls meet.
 
-        The balls that enclose the pieces are met. The search advances along a line as far as the
-        distance to the nearest of them allows: the work is proportional to the number of lines
-        times the logarithm of this distance.
-
-        The moving balls have centres (n, 3), unit normals (n, 3), radii (n,) and search distances
+        Balls with centres (n, 3) and radii (n,) move along unit normals (n, 3) by at most `limit`
         (n,) both ways [length]; pieces slightly beyond may be met, too. Return the moving ball (m,)
         of each pair, ascending, and the piece (m,) that it meets.
+
+        The search advances along a line as far as the distance to the nearest piece allows: the
+        work is proportional to the number of lines times the logarithm of this distance.
         """
+        # pairs as single numbers: moving ball times the number of pieces, plus piece
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
             reach = radii + self.radii[members].max()
@@ -145,6 +144,7 @@ class Pieces:
                 covered = place[lines] + np.where(near, r, clear)
                 place[lines] = covered + r
                 lines = lines[covered < end[lines]]
+        # the pairs, each once, whose balls meet indeed
         moving, met = np.divmod(np.unique(np.concatenate(pairs)), max(len(self.centres), 1))
         offset = self.centres[met] - centres[moving]
         along = dots(offset, normals[moving])
@@ -188,6 +188,7 @@ class Pieces:
         # parameter in [0, 1] of the nearest point of each side
         share = np.clip(-dots(corners, along) / dots(along, along), 0.0, 1.0)
         result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
+        # the distance is that from the plane if the point is above the inside of the polygon
         if corners.shape[1] > 2:
             turns = dots(cross(corners, along), normals[:, None])
             projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
@@ -236,10 +237,10 @@ def near_lines(
     reach: Array,
     length: Array | float,
 ) -> Facets:
-    """Return this rank's facets and those of all ranks that are close to lines. Collective.
+    """Return this rank's facets and those of all ranks that are close to its lines. Collective.
 
-    Lines have a point (n, 3), a unit direction (n, 3), a reach (n,) within which facets are close,
-    and a length, a number or (n,), both ways [length]; without length they are points.
+    Lines go through points (n, 3) along unit directions (n, 3), by a length, a number or (n,), both
+    ways [length]; without length they are points. Facets within `reach` (n,) of them are close.
     """
     if comm.size == 1:
         return owned
@@ -248,6 +249,7 @@ def near_lines(
     high = pieces.centres.max(axis=0, initial=-np.inf)
     box = comm.allgather((np.stack([low, high]), pieces.radii.max(initial=0.0)))
     length = np.broadcast_to(length, len(points))
+    # for each other rank, the lines that meet the box of its facets are sent to it
     chosen = []
     for rank, (corners, radius) in enumerate(box):
         enter, leave = line_intervals(corners, points, directions, reach + radius)
@@ -257,6 +259,7 @@ def near_lines(
     ranks = np.repeat(np.arange(comm.size), [len(indices) for indices in chosen])
     lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
     lines, source = exchange(comm, lines, ranks)
+    # facets of this rank that received lines meet, and the ranks that sent them
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
     for start in range(0, len(lines), AT_ONCE):
         block = slice(start, start + AT_ONCE)
@@ -268,13 +271,14 @@ def near_lines(
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
-    """Return the facets that this rank owns or gets; send facets (n,) to ranks. Collective."""
+    """Send facets (n,) to ranks (n,); return the own facets and those received. Collective."""
     arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
     count = len(owned.points)
     kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
     records = np.empty(count, dtype=kinds)  # one for each facet: each rank gets a single message
     for name, array in arrays.items():
         records[name] = array
+    # pairs of facet and rank as single numbers, each once, with the pairs of the own rank
     kept = np.arange(count) * comm.size + comm.rank
     facet, rank = np.divmod(np.union1d(kept, facet * comm.size + rank), comm.size)
     rows, _ = exchange(comm, records[facet], rank)
@@ -285,7 +289,7 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
 def with_neighbours(V: Any, owned: Facets) -> Facets:
     """Return all facets at this rank's nodes and two rings around them. Collective.
 
-    A ring are all facets at the corners of facets: `SmoothSurface` depends on two.
+    A ring is all facets at the corners of the facets inside it: `SmoothSurface` depends on two.
     """
     mine = Pieces(facets_at_own_nodes(V, owned))
     reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
@@ -295,9 +299,9 @@ def with_neighbours(V: Any, owned: Facets) -> Facets:
 def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Facets, Facets]:
     """Return all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides along the normals of the rank's facets; if these penetrate,
-    the primary facets near them; and two rings around paired facets, see `with_neighbours`. The
-    facets that this rank owns are given, and the search distance [length].
+    The facets of both sides that this rank owns are given, and the search distance [length]. The
+    result has the facets of both sides along the normals of the facets at this rank's nodes; the
+    primary facets near those that penetrate; and two rings around all (`with_neighbours`).
     """
     comm = V.mesh.comm
     if comm.size == 1:

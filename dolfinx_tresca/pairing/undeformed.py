@@ -21,7 +21,7 @@ import basix
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, real
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask, dots, real
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import numbers_in_file, vertex_count, with_owned_values
@@ -144,9 +144,10 @@ def _same(pair: ContactPair, second: ContactPair) -> bool:
 
 
 def _strength(law: Friction) -> tuple[int, float, float]:
-    """Return the kind of a law, its coefficient and its constant bound, in ascending order.
+    """Return what orders laws by strength: kind, coefficient of friction and constant bound.
 
-    Bounds that are neither numbers nor Constants count as 0.
+    The kinds are 0 without friction, 1 with friction and 2 for bonded surfaces. Bounds that are
+    neither numbers nor Constants count as 0.
     """
     if not isinstance(law, DryFriction):
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
@@ -160,7 +161,8 @@ def _strength(law: Friction) -> tuple[int, float, float]:
 def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     """Return the pairs in groups: pairs that share secondary nodes and a primary body. Collective.
 
-    Surfaces that touch themselves are groups of their own.
+    For pairs with an obstacle it is the same obstacle. Surfaces that touch themselves are groups of
+    their own; pairs that are linked through others are in one group.
     """
     single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([pair.obstacle is None for pair in pairs])
@@ -183,8 +185,8 @@ def _shared(
 ) -> Mask:
     """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
-    Only pairs in `compared` (pairs,), whose side is deformable, are compared: by the bodies of
-    their nodes if these have a label (nodes of V,), else by the nodes.
+    Pairs are compared by the `label` (nodes of V,) of their nodes' bodies, or if it is None by the
+    nodes. Only pairs in `compared` (pairs,) are, whose side is deformable.
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
@@ -194,6 +196,7 @@ def _shared(
         nodes = fem.locate_dofs_topological(V, dim, facets)  # those of facets of other ranks, too
         items = nodes if label is None else np.concatenate(comm.allgather(np.unique(label[nodes])))
         rows.append(np.column_stack([items, np.full(len(items), k)]))
+    # the product counts the common items of two pairs, on this rank
     item, pair = np.concatenate(rows).T
     shape = int(item.max(initial=-1)) + 1, len(pairs)
     incidence = coo_array((np.ones(len(item)), (item, pair)), shape=shape).tocsr()
@@ -236,7 +239,12 @@ class Undeformed:
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return the facets of a deformable side that this rank owns. Collective."""
+    """Return the facets of a deformable side that this rank owns. Collective.
+
+    Raises:
+        InputError: a tag has no facets.
+        PairingError: facets are inside a body, or have no area.
+    """
     mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
     comm, dim = mesh.comm, mesh.topology.dim - 1
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
@@ -259,15 +267,19 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
                 "inside a body: contact needs two surfaces with nodes of their own. Do not merge "
                 "the nodes of the bodies when meshing."
             )
+    return with_checked_areas(comm, _extracted(V, prescribed, facets, tag_index), pair, side)
 
-    dofmap = V.dofmap
+
+def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indices) -> Facets:
+    """Return the facets (n,) of a mesh, which are on its boundary, as `Facets`. Collective."""
+    mesh, dofmap, dim = V.mesh, V.dofmap, V.mesh.topology.dim - 1
+    # the cell of each facet, and the nodes of each side of a cell, as places in the cell's list
     to_cell = mesh.topology.connectivity(dim, dim + 1)
     cells = to_cell.array[to_cell.offsets[facets]]
     kinds = basix.cell.subentity_types(V.element.basix_element.cell_type)[dim]
     cell, sides = kinds[0].name, len(kinds)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
     place = (of_cell[cells] == facets[:, None]).argmax(axis=1)
-    # the nodes of each side of a cell, as places in the list of the cell's nodes
     closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)]
     corners = len(basix.topology(kinds[0])[0])
 
@@ -275,7 +287,6 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
     cell_nodes = dofmap.list[cells]
     nodes = np.take_along_axis(cell_nodes, np.array(closures)[place], axis=1)
     points = x[nodes]
-    middle = x[cell_nodes[:, : vertex_count(V)]].mean(axis=1)
     free = with_owned_values(V, (~prescribed).astype(np.float64)).x.array
     is_free = free.reshape(-1, dofmap.index_map_bs) > 0.5
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
@@ -292,14 +303,20 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
         tag_index=tag_index,
         bent=False,
     ).moved_to(points)
+    # the outward side of a facet is the one away from the middle of its cell
+    middle = x[cell_nodes[:, : vertex_count(V)]].mean(axis=1)
     ahead = points[:, :corners].mean(axis=1) - middle
     vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
     result.outward[dots(vectors, ahead) < 0.0] = -1.0
-    return with_checked_areas(comm, result, pair, side)
+    return result
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Check the areas of a side's facets; return them with `bent` set for all ranks. Collective."""
+    """Return a side's facets with `bent` set for all ranks. Collective.
+
+    Raises:
+        PairingError: facets have no area.
+    """
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
     # a facet of a surface is compared with its own diameter squared; the length of a facet of a
@@ -317,11 +334,11 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
 
 
 def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]:
-    """Return the facets of a pair with their `Facets.offsets`. Collective.
+    """Return the sides of a pair with the offsets of the surfaces whose geometry is known.
 
-    The projections of `pair.geometry`, or else of the geometry that the pair's tags know, are
-    evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. Without projections, and with a
-    warning if a geometry fails that the user did not give, the sides are returned unchanged.
+    The geometry is `pair.geometry`, or else the one that the pair's tags know. Without one for any
+    tag, the sides are returned unchanged; so they are, with a warning, if a geometry fails that the
+    user did not give. Collective.
     """
     geometry, limit = pair.geometry, FAR_CORNER
     if geometry is None:
@@ -383,15 +400,16 @@ def _offsets_of_tags(
 
 
 def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
-    """Return the `Facets.offsets` of facets by `ExactSurface.projections` onto their surface.
+    """Return the `Facets.offsets` of facets by the projections onto the pieces of their surface.
 
-    A facet belongs to the piece of the surface that is nearest to its corners; of pieces that all
-    corners are on, to the one that is nearest to its centre: a facet at an edge is not projected
-    onto the surface beyond the edge.
+    A facet belongs to the piece that is nearest to its corners; if corners are on several pieces,
+    to the one nearest to its centre, so that a facet at an edge is not projected onto the surface
+    beyond the edge.
     """
     points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
 
     def offsets(projection: Projection, points: Array) -> Array:
+        """Return vectors (..., 3) from points to their projections; equal points count once."""
         places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
         steps = project_points(places, f"geometry[{tag}]", projection, dim) - places
         return np.asarray(steps[index.ravel()].reshape(points.shape))

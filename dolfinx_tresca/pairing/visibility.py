@@ -91,7 +91,7 @@ class Visibility:
                 point = apart[crossing]
                 gap = end[point] > start[point]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
-                matters = leaves | gap if own else leaves == gap
+                matters = leaves | gap if own else leaves == gap  # by the rules of the class
                 if own:  # the end of a segment is on its piece, or near it if the facet is curved
                     matters &= ~in_one_body[point] | (facet != partner[point])
                 distance = (height - start[point]) * np.where(gap, 1.0, -1.0)
@@ -105,13 +105,16 @@ class Visibility:
     def _crossings(
         self, own: bool, piece: Indices, places: Array, reach: Array
     ) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
-        """Yield where normals of pieces cross facets of their own or of the other side, in blocks.
+        """Yield where lines through points, along the normals of their pieces, cross facets.
 
-        Facets that hide nothing, and in general those beyond reach, are left out (`_may_hide`). For
-        `piece` (n,) and `places` (n, d) see `hidden`; `reach` (n,) is the largest distance from the
-        plane at which a crossing matters [length]. Yield the normals (m,) that cross a facet; the
-        facets (m,), as pieces of their side; the heights (m,) of the crossings over the planes
-        [length]; and whether both normals point to the same side of the plane (m,).
+        The facets are those of the points' `own` side, or of the other side, that may hide a point
+        (`_may_hide`). For `piece` (n,) and `places` (n, d) see `hidden`; crossings farther from the
+        plane than `reach` (n,) [length] do not matter, and may be missing.
+
+        Yields:
+            for a block of m crossings: the points; the facets, as pieces of their side; the heights
+            over the planes of the points [length]; and whether the normals of the facet and of the
+            piece point to the same side of the plane.
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
@@ -123,8 +126,8 @@ class Visibility:
         line, facet = line[keep], facet[keep]
         corners = pieces.local_coordinates(targets[line], side.points[facet])
         normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
-        # all pairs of a facet and a point of the piece in front of it; the points of the piece
-        # `targets[k]` are the `counts[k]` numbers from `starts[k]` on
+        # All pairs of a facet and a point of the piece in front of it. Points are ordered by piece:
+        # those of the piece `targets[k]` are the `counts[k]` numbers from `starts[k]` on
         pairs = np.cumsum(counts[line])
         blocks = np.flatnonzero(np.diff(pairs // (50 * AT_ONCE))) + 1
         for block in np.split(np.arange(len(line)), blocks):
@@ -142,9 +145,9 @@ class Visibility:
     def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
         """Return whether facets (n,) of one side may hide points of the pieces (n,) below them.
 
-        Segments end at primary facets whose normals are opposed, so these hide nothing. Nor do, of
-        the secondary side, the piece itself, facets in its plane, and facets with a common node and
-        a similar normal, which a segment crosses at its own start.
+        Primary facets whose normals are opposed hide nothing, since segments end there. Facets of
+        the points' `own` side hide nothing if a segment crosses them at its own start: the piece
+        itself, facets in its plane, and facets with a common node and a similar normal.
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         normal, their_normal = pieces.normals[piece], side.normals[facet]
@@ -198,10 +201,10 @@ def _around_origin(corners: Array) -> Mask:
 def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
-    Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
-    the order of the corners: (n, a, d) and (n, b, d) of segments (d = 1) or convex polygons (d =
-    2). Return the simplices (m, d + 1, d), their areas (m,) [length^d], and the index (m,) of their
-    pair, ascending.
+    The corners are (n, a, d) and (n, b, d), of segments (d = 1) or convex polygons (d = 2), which
+    are cut into triangles round their centroid: these depend neither on rounding nor on the order
+    of the corners. Return the simplices (m, d + 1, d), their areas (m,) [length^d], and the index
+    (m,) of their pair, ascending.
     """
     low = np.maximum(own.min(axis=1), partners.min(axis=1))
     high = np.minimum(own.max(axis=1), partners.max(axis=1))
@@ -210,6 +213,7 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
         pair = np.flatnonzero(length > 0.0)
         return np.stack([low, high], axis=1)[pair], length[pair], pair
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
+    # each partner is clipped at all sides of its window, which turns counter-clockwise
     windows, polygons = own[near], partners[near]
     clockwise = _cross(windows, np.roll(windows, -1, axis=1)).sum(axis=1) < 0.0
     windows[clockwise] = windows[clockwise, ::-1]
@@ -225,17 +229,17 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     centroid = np.broadcast_to((polygons[:, 0] + offset)[:, None], polygons.shape)
     fans = np.stack([centroid, polygons, following], axis=2)
     areas = 0.5 * np.abs(_cross(polygons - centroid, following - centroid))
-    pair, place = np.nonzero(areas > 0.0)
+    pair, place = np.nonzero(areas > 0.0)  # corners that are repeated have triangles without area
     return fans[pair, place], areas[pair, place], near[pair]
 
 
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
-    """Return the part (n, c, 2) of each convex polygon on the left of its line.
+    """Return the part (n, c, 2) of each convex polygon (n, k, 2) on the left of its line.
 
-    The line goes through `start` (n, 2) along (n, 2). The result has the largest number c of
-    corners (Sutherland and Hodgman 1974); polygons with fewer repeat their last one, and all
-    corners of an empty polygon are equal. If corners coincide up to rounding, a polygon may cross
-    its line more than twice; all crossings are kept.
+    The line goes through `start` (n, 2) along (n, 2) (Sutherland and Hodgman 1974). Polygons with
+    fewer than c corners repeat their last one, and all corners of an empty polygon are equal. If
+    corners coincide up to rounding, a polygon may cross its line more than twice; all crossings are
+    kept.
     """
     n, corners, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -248,6 +252,7 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
     points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * corners, 2)
     dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * corners)
+    # a stable sort puts the candidates that are kept first, in their order
     count = 2 * corners - dropped.sum(axis=1, keepdims=True)
     place = np.minimum(np.arange(count.max(initial=1)), np.maximum(count - 1, 0))
     candidate = np.take_along_axis(np.argsort(dropped, axis=1, kind="stable"), place, axis=1)
@@ -260,13 +265,14 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 class SelfContact:
-    """Data that decide which facet of a surface that touches itself is the secondary one.
+    """Decides which facets of a surface that touches itself may meet, and which is secondary.
 
-    They are the columns of `Facets.origins`, with the centre and normal in the undeformed mesh; the
-    nodes at the corners (n, corners); and the `present_centre` (n, 3) and `present_normal` (n, 3).
+    Its attributes are the columns of `facet_origins`, with `centre` and `normal` in the undeformed
+    mesh, and `present_centre` and `present_normal`; `corners` (n, corners) are nodes.
     """
 
     def __init__(self, facets: Facets) -> None:
+        """Take the data of n facets with `origins`."""
         columns = np.split(facets.origins, [1, 2, 5, 8], axis=1)
         body, size, self.centre, self.normal, radius = columns
         self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
@@ -280,9 +286,9 @@ class SelfContact:
         Facets of two bodies may. Those of one body may not if they are neighbours, or the two faces
         of a wall. Neighbours share a corner and, unlike the lips of a crack at its tip, do not face
         each other in the undeformed mesh. Two facets are the faces of a wall if each is behind the
-        other, deeper than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`) or, if
-        they share a corner, deeper than touching lips (`NEGLIGIBLE`), both in the undeformed mesh
-        and in the present configuration, whose depth must exceed `WALL_PART` of the undeformed one.
+        other, both in the undeformed mesh and at present: deeper than facets of curved surfaces
+        penetrate each other (`SHALLOW_DEPTH`) or, if they share a corner, deeper than touching lips
+        (`NEGLIGIBLE`). The present depth must also exceed `WALL_PART` of the undeformed one.
         """
         f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
@@ -343,25 +349,26 @@ def facet_origins(V: Any, facets: Facets) -> Array:
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
-    """Return the nodes (n,) whose jump another node already constrains.
+    """Return a mask (n,) of the nodes whose jump another node of the surface already constrains.
 
     Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
-    secondary on one facet and primary on the next. Both would have the same jump: only the node
-    that comes first in the mesh file has a multiplier, and the second node is returned. A node that
-    is opposite to itself, such as the tip of a crack, has no jump, and is returned. Valid for nodes
-    whose facets are all on this rank. Facets overlap as pairs (p, 2) of a secondary and a primary
-    one, `opposite` (q, 2) with exchanged roles.
+    secondary on one facet and primary on the next. Both would have the same jump: the node that
+    comes first in the mesh file has the multiplier, and the second one is redundant. So is a node
+    that is opposite to itself, such as the tip of a crack, which has no jump. Valid for nodes whose
+    facets are all on this rank. `paired` (p, 2) and `opposite` (q, 2) are pairs of facets as in
+    `MortarIntegrals`.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
     def rows(pairs: Indices) -> Indices:
-        """Return rows (node, its number in the mesh file, that of an opposite node)."""
+        """Return the rows (node, number in the file, number of an opposite node), each once."""
         own, theirs = pairs.T
         corners, numbers = nodes.facet_nodes[own], in_file[own]
         repeated = (np.repeat(columns, count, axis=1) for columns in (corners, numbers))
         result: Indices = np.stack([*repeated, np.tile(in_file[theirs], count)], axis=2)
         return np.unique(result.reshape(-1, 3), axis=0)
 
+    # rows that occur twice are of nodes that are secondary on one facet and primary on another
     together = np.concatenate([rows(paired), rows(opposite)])
     seen, times = np.unique(together, axis=0, return_counts=True)
     own, theirs = seen[:, 1], seen[:, 2]
