@@ -41,10 +41,9 @@ MULTIPLES = (0.0625, 0.25, 1.0, 4.0)
 class GuaranteedError:
     """A proven bound of |u - u*|, where u* is the exact solution on the domain of the mesh.
 
-    The norm is the energy norm, |v|^2 = a(v, v). The bound is proven up to rounding
-    (docs/theory/guaranteed.md). u* is the solution of Tresca's problem whose gaps and slip bounds
-    are linear between contact nodes; if bounds depend on the pressure, they are those of the
-    solution.
+    The norm is the energy norm, |v|^2 = a(v, v). The bound is proven up to rounding. u* solves
+    Tresca's problem with gaps and slip bounds that are linear between contact nodes; bounds that
+    depend on the pressure are those of the solution.
 
     Attributes:
         error: bound of |u - u*| [energy^(1/2)].
@@ -95,15 +94,11 @@ class Bodies:
     """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium.
 
     Attributes:
-        cells: the n cells of this rank.
-        stiffness: (n, d * d, d * d) their elasticity tensors.
-        energies: the norms of stresses.
+        stiffness: (n, d * d, d * d) elasticity tensors of the cells.
         unknown: (n, d + 1, d) whether a component of the traction on a facet is unknown: inside the
             body, and where the displacement of all nodes is prescribed along it.
-        stars: the stars of vertices.
         factors: (n, d + 2) bounds of the work of loads, see `forms.loads`.
-        load: (n, d + 1, d + 1, d) loading of the form L.
-        oscillation: (n,) bounds of the work that it lacks.
+        load: (n, d + 1, d + 1, d) loading of the form L; `oscillation` (n,) bounds what it lacks.
     """
 
     def __init__(self, linear: LinearSystem, dual: DualProgram) -> None:
@@ -154,9 +149,6 @@ class Bodies:
         """Return the candidate of a load (n, d + 1, d + 1, d), with one solve with K. Collective.
 
         The multipliers (size,) and u are the solution for this or another load.
-
-        Raises:
-            ContactError: cells are not in equilibrium, since a point holds a force.
         """
         cells, d, given = self.cells, self.cells.d, load.copy()
         # what contact gives: tractions, and a displacement that does not penetrate
@@ -285,8 +277,7 @@ class Functional:
     """A goal that is linear in the displacement v, as J(v) or, for a force, a(w, v) - L(w).
 
     Attributes:
-        form: the linear form: J, or a(w, v).
-        derivative: the vector of the form.
+        form: the linear form: J, or a(w, v); `derivative` is its vector.
         w: the displacement that the form causes as a load, without contact. For a force it is
             given, the unit displacement of the nodes of the pair; else it is computed roughly.
         constant: L(w) for a force, else zero.
@@ -294,11 +285,7 @@ class Functional:
     """
 
     def __init__(self, goal: Any, bodies: Bodies, dual: DualProgram) -> None:
-        """Check a goal, and find its form, w and load. Collective.
-
-        Raises:
-            InputError: the goal is none of these, or bounds depend on the pressure.
-        """
+        """Check a goal, and find its form, w and load. Collective."""
         bodies.cells.require(
             dual.admissible.has_given_bounds,
             "slip bounds that do not depend on the pressure if it is of a goal",
@@ -349,7 +336,6 @@ class Functional:
         The collective function `candidate_at` returns the candidate of the load L + t J; if the
         goal is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
         """
-        # positive and negative t in turn
         bodies, limits = self._bodies, []
         size = self._dual.norm_of(u) / self._dual.norm_of(self.w)
         sizes = [sign * multiple * size for multiple in MULTIPLES for sign in (1.0, -1.0)]

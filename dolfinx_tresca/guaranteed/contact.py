@@ -43,12 +43,9 @@ class ContactSurface:
     def __init__(
         self, cells: MeshCells, dual: DualProgram, number: int, multipliers: Array, bounds: Array
     ) -> None:
-        """Interpolate the multipliers (size,) of pair `number` between nodes. Collective.
+        """Interpolate multipliers (size,) of pair `number`, if the bound covers it. Collective.
 
         Slip bounds (nodes of all pairs,) [stress] are given.
-
-        Raises:
-            InputError: the surfaces, their laws or their rims are not covered by the bound.
         """
         rows = dual.jump.by_pair[number]
         bounds = bounds[rows.nodes]

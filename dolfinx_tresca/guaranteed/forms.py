@@ -33,9 +33,6 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     Returns:
         the tensors (n, d * d, d * d), their inverses (n, k, k) in terms of `symmetric`, and their
         least eigenvalues (n,).
-
-    Raises:
-        InputError: the tensors do not explain all forces, or are not positive.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
@@ -86,9 +83,6 @@ def loads(
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
         bounds (n,) of the work of the loads minus their projections, relative to the energy norm.
-
-    Raises:
-        InputError: the form has other integrals, or depends on gradients.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     loading, oscillation = np.zeros((n, corners, corners, d)), np.zeros(n)

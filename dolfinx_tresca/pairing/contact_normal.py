@@ -71,27 +71,22 @@ class SmoothSurface:
     point of a straight facet the mean of the heights of the tangent planes, weighted with the hat
     functions h_c, is twice the height (sagitta) of a parabolic surface. So this height is the sum
     over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2: correct to second order in the
-    size of the facet, and zero for a flat surface. On a parabolic surface (n_c + n_d).(x_d - x_c)
-    is zero. Next to a kink between flat facets, where the normal leans at one corner only, it is as
-    large as the difference: there the height is zero, and beyond `KINK_ANGLE` the surface is the
-    facet itself, with its normal. At the ends of a curve in 2D, where the nodal normal is a mean
-    over one side, the normal is turned until the sum is zero.
-
+    size of the facet. On a parabolic surface (n_c + n_d).(x_d - x_c) is zero; next to a kink
+    between flat facets, where the normal leans at one corner only, it is as large as the
+    difference: there the height is zero, and beyond `KINK_ANGLE` the surface is the facet itself.
     Facets with curved edges (degree 2) have no height, and normals of their own.
 
     Attributes:
         facets: the facets.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
-            between the normal of the facet and the normals at its corners. On a circle this is the
-            angle that the facet spans; next to a kink it is zero.
+            between its normal and those at its corners; next to a kink it is zero.
         is_flat: whether no facet of this rank has a height, and no normal turns.
         across: (n, k, 3) outward unit normals of the smooth patches behind the sharp edges at each
             facet (`_normals_across_edges`). At the ends of a curve (2D) the body is taken to go on
             at right angles, as at the corner of a box.
-        turns_to_ends: (n,) the `turns`, but next to a kink those of the mean normals there, and at
-            least a right angle where the smooth surface ends [rad]: normals are less accurate at
-            both, and the partner's decide. The surface ends at sharp edges and at rims, in 3D only
-            if it is curved there.
+        turns_to_ends: (n,) the `turns` [rad], but larger where normals are less accurate, so that
+            the partner's decide: next to a kink those of the mean normals there, and at the ends of
+            the smooth surface at least a right angle.
         corner_normals: (n, corners, 3) outward unit normals of the surface at corners of facets.
     """
 
@@ -188,8 +183,8 @@ class SmoothSurface:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
 
         With the end c and the other corner d of its facet (n_c + n_d).(x_d - x_c) becomes zero, as
-        far as the curve is `smooth` (n,) at d. In 3D a node at the rim has neighbours enough for
-        its fitted normal. `at_rim` (n, 2) tells which corners are ends.
+        far as the curve is `smooth` (n,) there; `at_rim` (n, 2) tells which corners are ends. In 3D
+        a node at the rim has neighbours enough for its fitted normal.
         """
         for c, d in ((0, 1), (1, 0)):
             ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
@@ -294,10 +289,10 @@ def _rim_nodes(nodes: SurfaceNodes) -> Mask:
 def fitted_normals(nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
-    On a cylinder with facets of different shapes, the error of the mean of the facets' normals is a
-    fixed part of the angle between facets. A least-squares fit has no such error (Cazals and Pouget
-    2005, Estimating differential quantities using polynomial fitting of osculating jets). With too
-    few neighbours the mean is kept. Valid at nodes whose facets are all on this rank.
+    The mean of the facets' normals has an error that is a fixed part of the angle between facets; a
+    least-squares fit has none (Cazals and Pouget 2005, Estimating differential quantities using
+    polynomial fitting of osculating jets). With too few neighbours the mean is kept. Valid at nodes
+    whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
     # all pairs of two corners of a facet: a neighbour counts once for each facet that has both

@@ -119,10 +119,8 @@ def nodes_with_multipliers(
 
     `unpaired` (n,) nodes do not face the primary side, which owners know; `shared` (n,) nodes
     belong to it, too, and have no multiplier. The log has the counts. With finite sliding there may
-    be no such node, if nodes could carry multipliers in other positions of the bodies.
-
-    Raises:
-        PairingError: no node of any rank carries a multiplier.
+    be no such node, if nodes could carry multipliers in other positions of the bodies; otherwise a
+    PairingError is raised if no rank has one.
     """
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
@@ -298,13 +296,12 @@ def _dual_means(
 ) -> tuple[Any, Any, Array]:
     """Return means at secondary nodes, weighted with functions of the dual basis.
 
-    The functions have coefficients `dual` (facets, corners, corners) and the integral 1; `width` is
-    the number of nodes of V.
+    The functions have coefficients `dual` (facets, corners, corners) and the integral 1.
 
     Returns:
-        two sparse matrices (n, nodes of V), whose products with a displacement are its means over
-            the secondary and over the primary side; the latter is empty for an obstacle; and
-        means (n, 9) of the six quantities of `FacetIntegrals.means` and of the coordinates.
+        sparse matrices (n, `width`) of the means of a displacement over the secondary side and over
+        the primary side, empty for an obstacle; `width` is the number of nodes of V. The means
+        (n, 9) of the six quantities of `FacetIntegrals.means` and of the coordinates.
     """
     facets, corners = nodes.facets, nodes.facet_nodes
     own_rows = dual @ integrals.values  # (facets, corners, k)
@@ -410,10 +407,9 @@ def _normals_and_room(
     largest weight. Patches that face different places, such as the head of a bolt and its shank in
     a hole with clearance, are independent of each other.
 
-    Patches have the `numbers` (n,) of their nodes, ascending, and of one node by weight; the sparse
-    means (n, nodes of V) over the primary side, empty for an obstacle; normals (n, d); axes (n, d)
-    along which friction may act; and (n,) whether the displacement is not prescribed along the
-    normal.
+    Patches are given as in `SurfaceNodes`, by the `numbers` (n,) of their nodes; with sparse means
+    (n, nodes of V) over the primary side, empty for an obstacle; normals (n, d); axes (n, d) along
+    which friction may act; and (n,) whether the displacement is free along the normal.
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])

@@ -31,16 +31,15 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Length of a facet, relative to its radius: the distance by which the primary side may recede over
-#: a facet. What is farther behind the nearest point is another surface, and means over both would
-#: be wrong for either. (With half of it, rounded bodies with facets of the size of their radius
-#: would lose parts of their overlap.) On a surface that touches itself, opposite facets are sought
-#: within this distance first; otherwise a wall of 2,046 bricks is paired in 71 s.
+#: a facet. What is farther behind the nearest point is another surface. (With half of it, rounded
+#: bodies with facets of the size of their radius would lose parts of their overlap.) On a surface
+#: that touches itself, facets are sought within this distance first, which saves much time.
 FACET_LENGTH = 2.0
 
-#: Angle [rad] by which an obstacle's normal turns over a facet (10 degrees). Up to this angle the
-#: mesh resolves the obstacle, and nodes see it; from three times the angle on, it is seen all over
-#: the facets around the node (`_see_between_nodes`). With twice instead of three times, the force
-#: on a cylinder with cells of a third of its radius is 9 to 18 % too large, instead of 0 to 7 %.
+#: Angle [rad] by which an obstacle's normal turns over a facet, up to which the mesh resolves the
+#: obstacle; from three times the angle on, it is seen all over the facets around the node. With
+#: twice instead of three times, the force on a cylinder with cells of a third of its radius is 9 to
+#: 18 % too large, instead of 0 to 7 %.
 RESOLVED_ANGLE = math.radians(10.0)
 
 #: Angle [rad] over a facet from which on an obstacle that enters the facet is warned of: forces of
@@ -98,7 +97,7 @@ class _PointsOfSide:
 
     Attributes:
         facet: (n,) facet of each point.
-        x: (n, dim) reference points of the facets.
+        x: (n, dim) reference points.
         values: (n, k) basis functions of the displacement.
         height: (n,) height of the facet over the plane [length].
         to_surface: (n, 3) vectors from the facet to the smooth surface [length].
@@ -401,8 +400,7 @@ def obstacle_integrals(
     degree 1, gap and jump are then the nodal values. With degree 2 the distance at nodes on
     straight edges is measured from the smooth curved surface (`SmoothSurface`), since a body of
     degree 2 can take the shape of the obstacle. Where the mesh does not resolve the obstacle, it is
-    also seen between the nodes (`_see_between_nodes`). A warning tells how far an undeformed body
-    is entered unseen, unless it is `displaced`.
+    also seen between the nodes; what undeformed bodies enter unseen is warned of.
 
     Returns:
         the nodes, with the facets of all patches at one entry of each node, since the patches share
@@ -425,9 +423,15 @@ def obstacle_integrals(
         faces: Mask = dots(corner_normals, at_corners) < -FACING_COSINE
         faces &= (dots(facets.mean_normals, at_centres) < -FACING_COSINE)[:, None]
         facing = np.asarray(faces.any(axis=1))
-        # angles (facets,) by which the normal of the obstacle turns over facets
+        # nodes have the obstacle's normal where the mesh resolves the angle by which it turns over
+        # facets, else the mean of both sides' normals
         turns = turned_angles(dots(at_corners, at_centres[:, None])) * facing
-        integrals = _nodal_integrals(obstacle, nodes, surface, facing, at_corners, turns)
+        at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
+        own_turns = surface.turns[:, None]
+        mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
+        unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
+        normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
+        integrals = _nodal_integrals(obstacle, surface, normals, facing)
         # nodes see a hollow obstacle, such as a corner between walls, before all other points do
         spread = facets.points[:, : facets.corners] - centres[:, None]
         turns *= dots(spread, at_corners - at_centres[:, None]).sum(axis=1) > 0.0
@@ -449,27 +453,14 @@ def obstacle_integrals(
 
 
 def _nodal_integrals(
-    obstacle: RigidObstacle,
-    nodes: SurfaceNodes,
-    surface: SmoothSurface,
-    facing: Mask,
-    at_corners: Array,
-    turns: Array,
+    obstacle: RigidObstacle, surface: SmoothSurface, normals: Array, facing: Mask
 ) -> FacetIntegrals:
-    """Return the integrals over facets that face an obstacle, zero over the others.
+    """Return the integrals over facets that face an obstacle (n,), zero over the others.
 
-    The distance is interpolated between the nodes of the displacement, and the contact normal
-    between corners: it is the obstacle's normal `at_corners` (n, corners, 3) where the mesh
-    resolves the obstacle (`RESOLVED_ANGLE`), else the mean of both sides' normals, which turn over
-    facets by `turns` (n,) [rad]. `least` is the least distance at a node of the facet.
+    Distances are interpolated between the nodes of the displacement, and the contact normals
+    (n, corners, 3) between corners. `least` is the least distance at a node of the facet.
     """
-    facets = nodes.facets
-    at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
-    own_turns = surface.turns[:, None]
-    mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
-    unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
-    normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
-    every = np.arange(len(facets.points))
+    facets, every = surface.facets, np.arange(len(facing))
     distance, _ = _at(obstacle, surface.points(every, facets.lagrange_points(facets.degree)))
     height = _at(obstacle, facets.points)[0] - distance
     x, w = quadrature(facets.cell, 4 * facets.degree + 2)
@@ -525,9 +516,8 @@ def _see_between_nodes(
     An obstacle that is smaller than a facet may touch it between nodes. Gap, contact normal and
     displacement of a node are then means over the facets around it, with its hat function times
     exp(-(g - least) / height) as weight, where g is the distance and `least` its least value on
-    these facets. So the force acts where the obstacle touches, and moments are balanced. The height
-    is a part (`SEEN_HEIGHT`) of the height of the obstacle over the corners of a facet whose middle
-    it touches: with the nearest point alone, bodies are too stiff.
+    these facets. So the force acts where the obstacle touches. The height is a part (`SEEN_HEIGHT`)
+    of the height of the obstacle over the corners of a facet whose middle it touches.
 
     `turns` (n,) is the angle by which the obstacle's normal turns over each facet [rad], zero for
     facets that do not face it. The integrals change in place over the facets (m,) that are

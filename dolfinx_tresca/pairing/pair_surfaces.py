@@ -101,9 +101,9 @@ def _overlap_integrals(
     """Integrate over the overlaps of two surfaces, or of a surface with itself. Collective.
 
     Returns:
-        the secondary nodes and the primary facets that this rank's nodes depend on; the integrals;
-        and whether each node (n,) has no multiplier, since it is on both sides, or since another
-        node of a surface that touches itself has the same jump.
+        the secondary nodes and the primary facets that this rank needs; the integrals; and a mask
+        (n,) of nodes without a multiplier, since they are on both sides, or since another node of a
+        surface that touches itself has the same jump.
     """
     comm, pair = V.mesh.comm, group.surfaces
     around, across = halos(V, sides[0], sides[-1], pair.search_limit)
@@ -169,13 +169,9 @@ def _check_meshes_match(
 def _surface_nodes(
     V: Any, pair: ContactPair, side: SideName, halo: Facets, displaced: bool
 ) -> SurfaceNodes:
-    """Return the nodes of the facets of a side. Collective.
+    """Return the nodes of a side's facets, once their normals are checked. Collective.
 
-    `halo` are all facets that the pairing on this rank depends on. The nodes of undeformed surfaces
-    are checked by `_warn_if_torn`.
-
-    Raises:
-        PairingError: the normals of the facets around a node cancel.
+    `halo` are all facets that the pairing on this rank depends on.
     """
     with errors_on_all_ranks(V.mesh.comm):
         nodes = SurfaceNodes(halo)

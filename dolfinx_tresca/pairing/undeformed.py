@@ -1,8 +1,4 @@
-"""The undeformed surfaces of contact pairs: groups of pairs, and the facets with their tags.
-
-Pairs whose sides are parts of the same surfaces are paired together, as a `PairGroup`. `Undeformed`
-has the facets of both surfaces, which are displaced for each later pairing.
-"""
+"""The undeformed surfaces of contact pairs: groups of pairs, and the facets with their tags."""
 
 from __future__ import annotations
 
@@ -159,10 +155,9 @@ def _strength(law: Friction) -> tuple[int, float, float]:
 
 
 def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
-    """Return the pairs in groups: pairs that share secondary nodes and a primary body. Collective.
+    """Return the pairs in groups that share secondary nodes and a primary body. Collective.
 
-    For pairs with an obstacle it is the same obstacle. Surfaces that touch themselves are groups of
-    their own; pairs that are linked through others are in one group.
+    With obstacles, it is the same obstacle. Surfaces that touch themselves are groups of their own.
     """
     single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([pair.obstacle is None for pair in pairs])
@@ -239,12 +234,7 @@ class Undeformed:
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return the facets of a deformable side that this rank owns. Collective.
-
-    Raises:
-        InputError: a tag has no facets.
-        PairingError: facets are inside a body, or have no area.
-    """
+    """Return this rank's facets of a side; check tags, areas, and the boundary. Collective."""
     mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
     comm, dim = mesh.comm, mesh.topology.dim - 1
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
@@ -312,11 +302,7 @@ def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indice
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Return a side's facets with `bent` set for all ranks. Collective.
-
-    Raises:
-        PairingError: facets have no area.
-    """
+    """Return facets with `bent` set for all ranks; PairingError without area. Collective."""
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
     # a facet of a surface is compared with its own diameter squared; the length of a facet of a
