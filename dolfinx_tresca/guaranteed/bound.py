@@ -32,8 +32,7 @@ IMBALANCE = 1e-7
 #: end. With half of it the bound is 2 % smaller, for up to one and a half times as many steps.
 GAIN = 0.02
 
-#: Multiples of the size of the change of the load that is as large as the load. Where contact
-#: changes, smaller ones give narrower intervals.
+#: Changes of the load, in multiples of the load: where contact changes, smaller ones are better.
 MULTIPLES = (0.0625, 0.25, 1.0, 4.0)
 
 
@@ -49,8 +48,7 @@ class GuaranteedError:
         error: bound of |u - u*| [energy^(1/2)].
         relative_error: `error` divided by |u|.
         cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
-            root of the sum of their squares is at least `error`, and at most some percent larger
-            if `lift` is small.
+            root of the sum of squares is at least `error`, and hardly larger if `lift` is small.
         stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
             displacement [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
@@ -79,8 +77,7 @@ class Candidate(NamedTuple):
     """A stress and a displacement that bound the exact solution of a load.
 
     Attributes:
-        loading: (n, d + 1, d + 1, d) loading that balances the load, and has the tractions of the
-            surfaces.
+        loading: (n, d + 1, d + 1, d) loading that balances the load, with tractions of contact.
         v: a displacement that does not penetrate.
         surfaces: the contact surfaces, with admissible tractions.
     """
@@ -234,7 +231,7 @@ class Bodies:
         of_u, of_v, defects = self.loading_of(u), self.loading_of(v), self.defects(surfaces, v)
         difference = loading - of_v
         self.shorten(difference, gain)
-        # squared norms (n,) of s - s(v), of the distance of s(u) from the mean, and of s(u) - s(v)
+        # squared norms of s - s(v), of the distance of s(u) from the mean, and of s(u) - s(v)
         stresses = difference, of_u - of_v - 0.5 * difference, of_u - of_v
         square, from_mean, moved = map(self.energies.squared_norms, stresses)
         eta = (np.sqrt(square) + self.oscillation) ** 2
@@ -256,11 +253,8 @@ class Bodies:
 class GuaranteedGoal:
     """A proven interval that contains the value of a goal in the exact solution.
 
-    It is of the goal's unit, and proven up to rounding. See `GuaranteedError` for what the exact
-    solution is.
-
     Attributes:
-        lower: the least possible value.
+        lower: the least possible value [unit of the goal], proven up to rounding.
         upper: the largest possible value.
         value: the value in the computed solution, usually inside.
     """
@@ -331,10 +325,8 @@ class Functional:
 
         For all t, t J(u*) - t J(v) <= |s - s(v)|^2 / 4 + G with s of the load L + t J, and v of
         L - t J: an upper limit if t > 0, else a lower one. With a small t the errors count much,
-        with a large one contact changes, and the defects G are large.
-
-        The collective function `candidate_at` returns the candidate of the load L + t J; if the
-        goal is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
+        with a large one contact changes, and the defects G are large. `candidate_at` returns the
+        candidate of L + t J; if the goal is a force, its `loading` balances L alone.
         """
         bodies, limits = self._bodies, []
         size = self._dual.norm_of(u) / self._dual.norm_of(self.w)

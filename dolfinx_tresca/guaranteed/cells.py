@@ -29,8 +29,7 @@ from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function. Their proof is in docs/theory/guaranteed.md, and
-#: tests/guaranteed/test_constants.py computes them.
+#: nearest linear function: docs/theory/guaranteed.md, tests/guaranteed/test_constants.py.
 POINCARE = {2: 0.540, 3: 0.768}
 TRACE = {2: 1.522, 3: 4.473}
 
@@ -101,7 +100,6 @@ class Simplices:
 
     Attributes:
         points: (n, d + 1, d) the vertices [length].
-        d: the dimension.
         frames: (n, d, d) the matrices B of the maps x = x_0 + B X from the reference simplex.
         volumes: (n,) volumes, in 2D areas.
         gradients: (n, d + 1, d) gradients of the barycentric coordinates.
@@ -246,7 +244,6 @@ class MeshCells(Simplices):
     """The cells that this rank owns, with vertices in ascending order of their global numbers.
 
     Attributes:
-        V: the space of the displacement.
         order: (n, d + 1) the local numbers of the vertices in DOLFINx.
         quadratics: the space of vectors that are quadratic in cells.
         dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.

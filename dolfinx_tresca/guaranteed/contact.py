@@ -20,8 +20,7 @@ from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import SideName
 
-#: Difference of unit normals, and of entries of the primary side's means from 1, that count as
-#: rounding.
+#: Difference of unit normals, and of the primary means' entries from 1, that count as rounding.
 FLATNESS = 1e-8
 
 #: Penetration relative to the largest displacement that counts as rounding.
@@ -31,8 +30,8 @@ PENETRATION = 1e-10
 class ContactSurface:
     """The secondary surface of a pair, with tractions that are linear between nodes.
 
-    In a method, *nodes* are all nodes of V on this rank, and *facing* ones those n secondary nodes
-    of this rank that face the primary side; m facets of this rank touch.
+    The *nodes* are all nodes of V on this rank, n secondary ones of them are *facing* the primary
+    side, and m facets of the rank touch it.
 
     Attributes:
         cell: (m,) the cells of the secondary facets.
@@ -78,7 +77,6 @@ class ContactSurface:
         added_gap = 0.0 if pair.gap is None else pair.gap
         gaps = every.distance + NodalValues(V).values_at(added_gap, self._facing, "the gap")[:, 0]
         self._gaps = self._at_nodes(gaps[:, None])
-
         # the facets, all of whose nodes face the other side, and their tractions
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
         self.cell, self._facet, self._corners, outside = self._facets_of("secondary", touching)

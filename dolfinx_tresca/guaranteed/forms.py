@@ -18,9 +18,8 @@ STIFFNESS_ROUNDING = 1e-9
 #: Difference of the cosine of two unit normals from 1 that counts as rounding.
 NORMAL_ROUNDING = 1e-8
 
-#: Quadrature of loads, and of their squared distances from their projections: exact for polynomials
-#: of degree up to 5. With the degree that UFL estimates, four fifths of the time of a bound were
-#: spent here for loads of sines and cosines.
+#: Quadrature of loads, and of squared distances from their projections: exact for polynomials up to
+#: degree 5. The degree that UFL estimates for sines would take four fifths of the time of a bound.
 QUADRATURE = {"quadrature_degree": 10}
 
 
@@ -45,7 +44,6 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
         results.append(fem.assemble_vector(work).array.reshape(-1, d)[cells.dofs])
     # forces (n, d * d, k, d) on the nodes of a cell for each G, divided by the cell's volume
     forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]
-
     # a mean stress is the work on linear functions
     places, basis, _ = lagrange(corners)
     nodes = places @ (cells.points - cells.points[:, :1])
@@ -53,7 +51,6 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     moduli = symmetric(d).T @ stresses.reshape(n, d * d, d * d) @ symmetric(d)
     stiffness = symmetric(d) @ moduli @ symmetric(d).T
     least = np.linalg.eigvalsh(moduli)[:, 0]
-
     # A constant stress exerts on a node itself times the mean slope of the node's function, and
     # grad (lambda_i lambda_j) has the mean (grad lambda_i + grad lambda_j) / corners. No other
     # forces may remain: those of antisymmetric G would give rotations an energy.
@@ -101,8 +98,8 @@ def loads(
     test, weight = map(ufl.TestFunction, (linears, fem.functionspace(mesh, ("DG", 0))))
     projection = fem.Function(linears)
     dofs = linears.dofmap.list[np.arange(n)[:, None], cells.order]
-    # a form integrates over all facets of a cell. For the integral over one facet of each cell,
-    # `normal` is the normal of this facet, and the integrand is zero where normals differ
+    # For the integral over only one facet of each cell, `normal` is the normal of this facet, and
+    # the integrand is zero where normals differ
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
     on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)

@@ -22,18 +22,17 @@ import basix
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, unit
 from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
 
-#: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
-#: the surfaces are paired (29 degrees): flat facets farther from being parallel touch at their ends
-#: only. With twice this angle a chamfer of 45 degrees is paired with the wall that it recedes from;
-#: with half of it, wedges lose their partners after small rotations.
+#: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points are
+#: paired: flat facets farther from being parallel touch at their ends only. With twice this angle a
+#: chamfer of 45 degrees is paired with its wall; with half, wedges lose partners as they rotate.
 OPPOSED_ANGLE = 0.5
 
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
 #: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
-#: the surface counts as curved over the side. The height falls to zero where both are equal: at a
-#: kink between flat facets. (With half of this, heights on irregular meshes would change.)
+#: the surface counts as curved over the side. Towards 1, at a kink between flat facets, the height
+#: falls to zero. (With half of this, heights on irregular meshes would change.)
 UNEVEN = 0.5
 
 #: Angle by which normals turn over a facet next to a kink [rad] up to which the mean normals at the
@@ -42,8 +41,7 @@ UNEVEN = 0.5
 KINK_ANGLE = 0.1
 
 #: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
-#: rounding does not decide between two flat sides. (With twice this angle, sides that turn by 0.1
-#: degrees would count as flat, too; the normals of both sides are then equal to this accuracy.)
+#: rounding does not decide between two flat sides, whose normals are equal to this accuracy.
 FLAT_ANGLE = 1e-3
 
 #: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
@@ -77,7 +75,6 @@ class SmoothSurface:
     Facets with curved edges (degree 2) have no height, and normals of their own.
 
     Attributes:
-        facets: the facets.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between its normal and those at its corners; next to a kink it is zero.
         is_flat: whether no facet of this rank has a height, and no normal turns.

@@ -52,14 +52,12 @@ class ContactOperators:
 
     Attributes:
         nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
-        weights: (n,) covered areas of the contact nodes [length^2, in 2D length]: the part of a
-            node's area that faces the primary side.
+        weights: (n,) parts of the nodes' areas that face the primary side [length^2, in 2D length].
         normals: (n, d) outward unit normals of the secondary side.
         gap: (rows of N,) initial gap of the undeformed bodies [length], positive if open.
         normal_node: (rows of N,) index in `nodes` of each row of N.
         tangents: (rows of T, d) unit vectors: each row of T is the jump along its vector.
-        tangent_node: (rows of T,) index in `nodes` of each row of T; nodes have up to two rows in
-            3D.
+        tangent_node: (rows of T,) index in `nodes` of each row of T, up to two for a node in 3D.
     """
 
     def __init__(
@@ -88,8 +86,7 @@ class ContactOperators:
     def N(self) -> PETSc.Mat:
         """Matrix of normal jumps N u [length], secondary minus primary, positive if closing.
 
-        One row for each normal multiplier, see `normal_node`. Columns of prescribed degrees of
-        freedom are not zeroed. Collective.
+        Columns of prescribed degrees of freedom are not zeroed. Collective.
         """
         return self._matrix(self._pair.N)
 
@@ -165,8 +162,7 @@ class ContactOperators:
         integral over the primary facets only if the secondary side covers all of them.
 
         Args:
-            function: a scalar or vector of Lagrange elements of degree 1 on the mesh of the
-                displacement. Interpolate or project other fields into such a space.
+            function: a scalar or vector of Lagrange elements of degree 1 on the problem's mesh.
             to: the side that receives the values.
 
         Raises:
@@ -213,8 +209,8 @@ class ContactOperators:
         nodes, assemble K without conditions and call `zeroRowsColumns` on the sum.
 
         Args:
-            h: the conductance [flux per area and jump of T], in the space of T. Its values at
-                secondary nodes are used; they may depend on the pressure (`SurfaceFields.on_mesh`).
+            h: the conductance [flux per area and jump of T], in the space of T, of which values at
+                secondary nodes count; they may depend on the pressure (`SurfaceFields.on_mesh`).
 
         Raises:
             InputError: h is not a scalar Function of degree 1 on the mesh of the displacement.

@@ -36,10 +36,9 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
-#: over whole facets, with which the node carries a multiplier: 1 at nodes on the rim of the
-#: overlap, and 1 - d beyond a straight rim, at the distance d in sizes of the facet. With 0.76,
-#: nodes just beyond a block's edge would have up to 1.5 times the pressure of the nodes on the
-#: edge; with 0.94, nodes of a circle of 16 segments would lose their multipliers.
+#: over whole facets, with which the node carries a multiplier: 1 on the rim of the overlap, and
+#: 1 - d at the distance d in sizes of the facet. With 0.76, nodes just beyond a block's edge would
+#: have up to 1.5 times the pressure on the edge; with 0.94, nodes of a circle of 16 segments none.
 LEAST_MEAN = 0.88
 
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered: on
@@ -55,8 +54,7 @@ LEAST_AREA_PART = 3e-4
 #: their curved surfaces over the facets), whose error is 1 to 5 %.
 CLOSE_FIT = 0.5
 
-#: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
-#: may penetrate at a few nodes, by errors of the sagitta.
+#: Part of the nodes that must penetrate for a press fit: errors of the sagitta bring in only a few.
 FITTED_PART = 0.25
 
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
@@ -242,7 +240,6 @@ def couple(
         gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
-
     # the share of each pair of the group in a node's area, from the areas of overlaps
     facet, partner = integrals.pairs.T
     column = partner if primary is None else primary.tag_index[partner]
@@ -250,7 +247,6 @@ def couple(
     shares: Array = np.zeros((len(nodes.numbers), len(group.pairs)))
     areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
     np.add.at(shares, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
-
     # from here on, arrays have rows for the nodes with multipliers alone
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
@@ -337,10 +333,9 @@ def dual_coefficients(hats: Array, spread: Array) -> Array:
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
     (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is that of phi_i for i =
     j, else zero. So a nodal pressure is the nodal force divided by the covered area. The hat
-    functions of corners that carry no multiplier are first added to the others, by the `spread` of
-    `redistribution`; a facet without multipliers has no basis. The basis sums to 1, so that
-    constant pressures are transferred exactly. `hats` (n, corners, corners) are the integrals
-    phi_i phi_j.
+    functions of corners without multipliers are first added to the others, by the `spread` of
+    `redistribution`; a facet without multipliers has no basis. The basis sums to 1: constant
+    pressures are transferred exactly. `hats` (n, corners, corners) are integrals of phi_i phi_j.
     """
     every = np.eye(hats.shape[1])
     masses = spread @ hats @ spread.transpose(0, 2, 1)

@@ -24,9 +24,8 @@ from dolfinx_tresca._base.arrays import (
     unit,
 )
 
-#: Deviation, relative to the size of a facet, that counts as rounding beside that of coordinates:
-#: of nodes from a straight shape, of a surface from its facet, of areas from zero. Mesh files have
-#: at least ten digits.
+#: Deviation, relative to the size of a facet, that counts as rounding beside that of coordinates,
+#: in shapes, heights and areas. Mesh files have at least ten digits.
 MESH_ROUNDING = 1e-10
 
 #: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
@@ -35,33 +34,30 @@ FACET_ARRAYS = (
     *("outward", "offsets", "origins", "tag_index"),
 )
 
-#: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
-#: spans 30 degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
+#: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet of 30
+#: degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
 OFFSET_DEGREE = 4
 
 #: Largest number of Newton steps that find a reference point.
 NEWTON_STEPS = 20
 
 #: Distance of two corners, relative to the size of the facet, up to which they match, in addition
-#: to the rounding of coordinates: it may leave this part of the area of facets uncovered, or cover
-#: it twice. Meshes of a mesh generator differ by 1e-10 or less.
+#: to the rounding of coordinates, and part of an area that may be uncovered, or covered twice.
+#: Meshes of a mesh generator differ by 1e-10 or less.
 MISMATCH = 1e-8
 
-#: What is nothing beside a facet, above the mismatch of meshes and far below their resolution: the
-#: part of its area by which it overlaps a facet with a common edge only; the distance, relative to
-#: its radius, of surfaces that touch; the cosine between its normal and a line along it. Also the
-#: length of a sum of normals, relative to the sum of their weights, where they cancel.
+#: What is nothing beside a facet, above the mismatch of meshes and far below their resolution: a
+#: part of its area, the distance of surfaces that touch relative to its radius, the cosine between
+#: its normal and a line along it, the length of a sum of normals relative to their weights.
 NEGLIGIBLE = 1e-6
 
 #: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
-#: degrees): beyond, its area is more than ten times that of its projection. Also the length of the
-#: projection of a unit normal onto the free directions beyond which the projection, scaled to
-#: length 1, replaces the normal.
+#: degrees): beyond, its area is more than ten times that of its projection. Also the least length
+#: of the projection of a unit normal onto the free directions with which it replaces the normal.
 FACING_COSINE = 0.1
 
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
-#: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
-#: (51.4 degrees and less); boxes and hexagonal prisms have sharp edges (60 degrees and more).
+#: between them: polygons of seven or more sides are smooth; boxes and hexagons have sharp edges.
 EDGE_ANGLE = 55.0
 
 
@@ -80,9 +76,8 @@ class Facets:
         free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
         file_numbers: (n, corners) numbers of the corners in the mesh file.
         outward: (n,) 1 if the order of the nodes gives the outward normal, else -1.
-        offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` on the
-            facet to the exact surface [length]; NaN where it is unknown, (n, 0, 3) if it is on both
-            sides.
+        offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` to the
+            exact surface [length]; NaN where it is unknown, (n, 0, 3) if it is on both sides.
         origins: (n, 9) see `facet_origins`; (n, 0) on surfaces that do not touch themselves.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
@@ -298,14 +293,12 @@ class SurfaceNodes:
     Weights and normals are valid at nodes whose adjacent facets are all on this rank.
 
     Attributes:
-        facets: the facets.
         numbers: (n,) global numbers of the nodes in V, ascending; of the entries of one node the
             patch with the largest weight comes last.
         points: (n, 3) positions [length].
         weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
         normals: (n, 3) outward unit normals: means over the facets of the patch at the node,
-            without prescribed components. (At the edge of a curved surface on a symmetry plane the
-            mean over one side is tilted out of this plane.)
+            without prescribed components, since means over one side of a symmetry plane are tilted.
         free: (n, dim of space) whether a component of the displacement is not prescribed.
         facet_nodes: (facets, corners) index of each facet's corners in the arrays above.
         has_no_normal: (n,) whether the normals of the facets cancel.

@@ -47,8 +47,8 @@ RESOLVED_ANGLE = math.radians(10.0)
 COARSE_ANGLE = 3.0 * RESOLVED_ANGLE
 
 #: Height over its nearest point up to which an obstacle is seen, relative to its height over the
-#: corners of a facet whose middle it touches. With half of it a cylinder as small as the facets is
-#: pressed with up to 1.5 times the force; with 1.5 times of it, with half the force.
+#: corners of a facet whose middle it touches. With half of it a cylinder as small as the facets has
+#: up to 1.5 times the force; with 1.5 times of it, half the force.
 SEEN_HEIGHT = 1.0 / 3.0
 
 #: Degree of exactness of the quadrature over facets on which an obstacle is seen.
@@ -69,7 +69,7 @@ class FacetIntegrals:
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         means: (n, corners, 6) integrals of secondary hat functions times six quantities: the
             distance of the surfaces along the contact normal; the height of the secondary surface
-            over its facets (zero if an exact surface is known), and the sum of the heights of both
+            over its facets (zero if an exact surface is known); the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
         least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
             To an obstacle it is the least distance of a node.
@@ -164,9 +164,8 @@ class MortarIntegrals(FacetIntegrals):
     excluded, and among several layers the nearest one is integrated.
 
     Attributes:
-        opposite: (q, 2) pairs of facets that see each other, but whose roles are exchanged: the
-            first facet, which was searched from, is primary, and the second one is secondary. Empty
-            unless the surface touches itself.
+        opposite: (q, 2) pairs of facets of a surface that touches itself whose roles are exchanged:
+            the first facet, which was searched from, is primary, and the second one is secondary.
     """
 
     def __init__(
@@ -274,7 +273,6 @@ class MortarIntegrals(FacetIntegrals):
         # least distance of each simplex: of the linear function that fits the distances best
         least = (means[:, 0].reshape(-1, q) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
-
         # sums over the pairs that overlap: the simplices of a pair follow each other
         pairs, starts = np.unique(cut.pair, return_index=True)
         piece, area = mine[pairs], np.add.reduceat(weight, starts * q)
@@ -530,7 +528,6 @@ def _see_between_nodes(
     near = np.flatnonzero(integrals.hats.any(axis=(1, 2)) & share.any(axis=1))
     close, corners, share = facets.selected(near), nodes.facet_nodes[near], share[near, :, None]
     turns = turns[near]
-
     # the six quantities of `FacetIntegrals.means` at points all over the facets
     x, w = quadrature(facets.cell, SEEN_DEGREE)
     hats, points = facets.hats(x), surface.points(near, x)
@@ -539,7 +536,6 @@ def _see_between_nodes(
     normals = contact_normals(own, outward, surface.turns[near, None], turns[:, None])
     above = dots(close.points_at(x) - points, outward)
     seen = np.dstack([distance, above, above, normals])
-
     # weights (m, corners, points): the hat function times the exponential function, scaled such
     # that a node keeps its area. An arc over a chord of length l has the height turn l / 8
     widths = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
@@ -552,7 +548,6 @@ def _see_between_nodes(
     areas = integrals.hats[near].sum(axis=2)
     total = nodes.reduced(np.add, weights.sum(axis=2), 0.0, near)[corners]
     weights *= (nodes.reduced(np.add, areas, 0.0, near)[corners] / total)[:, :, None]
-
     # the integrals so far are multiplied by the dual basis, and so can be mixed with the new ones
     dual = areas[:, :, None] * np.linalg.inv(integrals.hats[near])
     values, means = dual @ integrals.values[near], dual @ integrals.means[near]

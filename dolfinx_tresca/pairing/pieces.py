@@ -22,8 +22,8 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cro
 from dolfinx_tresca._base.parallel import exchange, gather_rows
 from dolfinx_tresca.pairing.facets import FACET_ARRAYS, FACING_COSINE, Facets, frames_along
 
-#: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
-#: times as many, and of points and what may hide them 50 times as many.
+#: Number of lines that are processed at once, which bounds the memory; of pairs of facets it is
+#: four times this number, and of points and what may hide them 50 times.
 AT_ONCE = 2048
 
 #: A point's penetration along the normal counts only if the point's least distance from the other
@@ -61,8 +61,7 @@ def line_intervals(
 class Pieces:
     """Segments, triangles or quadrilaterals that approximate facets.
 
-    If any facet of the surface is curved (`Facets.bent`), each facet is cut into two (in 2D) or
-    four pieces; else each facet is one piece.
+    If any facet is curved (`Facets.bent`), each is cut into two (2D) or four pieces, else into one.
 
     Attributes:
         facet: (n,) the facet of each piece, ascending.
@@ -198,8 +197,8 @@ class Pieces:
 
 
 #: Distance from a piece, relative to the radius of the largest piece, within which the second ring
-#: of its neighbours begins: the width of a facet that is cut into pieces (`Pieces`). With half of
-#: it, curved facets at the end of the halo would have other normals than on their own rank.
+#: of its neighbours begins. With half of it, curved facets at the end of the halo would have other
+#: normals than on their own rank.
 TWO_RINGS = 4.0
 
 
@@ -291,9 +290,10 @@ def with_neighbours(V: Any, owned: Facets) -> Facets:
 
     A ring is all facets at the corners of the facets inside it: `SmoothSurface` depends on two.
     """
-    mine = Pieces(facets_at_own_nodes(V, owned))
-    reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
-    return near_lines(V.mesh.comm, owned, mine.centres, mine.normals, reach, 0.0)
+    comm, mine = V.mesh.comm, Pieces(facets_at_own_nodes(V, owned))
+    largest = comm.allreduce(Pieces(owned).radii.max(initial=0.0), op=MPI.MAX)
+    reach = mine.radii + TWO_RINGS * largest
+    return near_lines(comm, owned, mine.centres, mine.normals, reach, 0.0)
 
 
 def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Facets, Facets]:
@@ -307,7 +307,8 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     if comm.size == 1:
         return secondary, primary
     mine = Pieces(facets_at_own_nodes(V, secondary))
-    rings = TWO_RINGS * max(_largest_radius(comm, side) for side in (secondary, primary))
+    largest = max(Pieces(side).radii.max(initial=0.0) for side in (secondary, primary))
+    rings = TWO_RINGS * comm.allreduce(largest, op=MPI.MAX)
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far, reach = limit + mine.radii + rings, mine.radii + rings
     lines = mine.centres, mine.normals, reach, far
@@ -325,8 +326,3 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
         joined = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
         across = near_lines(comm, primary, *joined)
     return around, across
-
-
-def _largest_radius(comm: MPI.Comm, facets: Facets) -> float:
-    """Return the radius of the largest piece on any rank [length]. Collective."""
-    return float(comm.allreduce(Pieces(facets).radii.max(initial=0.0), op=MPI.MAX))

@@ -46,8 +46,8 @@ from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
 #: Arguments that pairs of a group must have in common.
 COMMON = ("sliding", "search_distance", "pairing", "geometry")
 
-#: Distance of a corner from its surface, relative to the size of the facet, beyond which the
-#: geometry must be wrong. Nodes that could not be snapped to the surface are nearer than this.
+#: Distance of a corner from its surface, relative to the facet, beyond which the geometry must be
+#: wrong. Nodes that could not be snapped to the surface are nearer than this.
 FAR_CORNER = 0.5
 
 
@@ -55,8 +55,7 @@ class PairGroup:
     """Pairs that are paired as one pair of surfaces, so that a node has one multiplier.
 
     Attributes:
-        numbers: the position of each pair in the list of the problem.
-        pairs: the pairs.
+        numbers: the position of each pair, of `pairs`, in the list of the problem.
         surfaces: the pair of surfaces with the tags of all pairs, and the law of one of them.
         pair_of_tags: (secondary tags, primary tags) index in `pairs` of the pair between two tags
             of `surfaces`; -1 if there is none, so that facets with these tags are not paired.
@@ -203,8 +202,8 @@ class Undeformed:
 
     Attributes:
         group: the pairs, which are paired together.
-        sides: the facets of each side, the secondary side first. There is only one side if the
-            primary side is a rigid obstacle, or if the surface touches itself.
+        sides: the facets of each side, the secondary side first. An obstacle is no side, and a
+            surface that touches itself is one side.
     """
 
     def __init__(
@@ -305,8 +304,7 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
     """Return facets with `bent` set for all ranks; PairingError without area. Collective."""
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
-    # a facet of a surface is compared with its own diameter squared; the length of a facet of a
-    # curve (2D) is its diameter, so it is compared with the largest facet
+    # the area is compared with the own diameter squared; the length (2D) with the largest facet
     expected = diameters**2 if facets.dim == 2 else largest
     empty = facets.areas <= (MESH_ROUNDING + facets.rounding) * expected
     count, total = reduce_array(comm, np.array([empty.sum(), len(empty)]))

@@ -1,9 +1,8 @@
 """Which facets may meet: overlaps, what a body hides, self-contact.
 
 On a surface that touches itself, a point where two facets meet is seen from both, but must be
-constrained only once. So an order of the facets (`SelfContact`) decides which of two is secondary.
-It depends on the undeformed mesh only: the roles are the same in all configurations of finite
-sliding, and on any number of ranks.
+constrained only once. An order of the facets (`SelfContact`) decides which of two is secondary, by
+the undeformed mesh only: so the roles are the same in all positions, on any number of ranks.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces
 #: surfaces penetrate each other by a part of their size.
 SHALLOW_DEPTH = 0.1
 
-#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
-#: 1, slight differences in size would decide, and between equal bricks rounding.
+#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1,
+#: rounding would decide between equal bricks.
 FINER = 2.0**-0.5
 
 #: Direction that orders the facets of one body, parallel to no face of a usual slit: on such a slit
 #: rounding would decide the roles, and most nodes would lose their multipliers.
 ORDER = np.array([0.49, 0.63, 0.60])
 
-#: Two facets of one body that are behind each other count as the two faces of one wall if their
-#: distance is at least this part of that in the undeformed mesh: walls are not compressed so far.
+#: Least distance of the two faces of one wall, relative to that in the undeformed mesh: walls are
+#: not compressed farther.
 WALL_PART = 0.5
 
 
@@ -53,12 +52,9 @@ class Visibility:
     If edges of two bodies overlap, the segment may also run inside both bodies along a face. So x
     is not paired with y if its distance from the primary surface is much smaller than |s|.
 
-    On a surface that touches itself, both sides consist of all facets. A facet in the way of a
-    segment then counts as secondary if it is on the body of x, and as primary otherwise. If x and y
-    are on one body, a segment enters or leaves this body at y, which does not hide y.
-
-    If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
-    counts at x, leaving counts at y.
+    On a surface that touches itself, both sides consist of all facets. A facet in the way counts as
+    secondary if it is on the body of x, else as primary; if x and y are on one body, the facet of y
+    does not hide y. Within rounding of the ends, entering counts at x, and leaving at y.
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
@@ -166,10 +162,9 @@ class Visibility:
         return result
 
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return whether points (n,) penetrate far more than their distance from the primary side.
+        """Return whether the primary side is far nearer to points (n,) than their penetration.
 
-        This is so if the distance is less than `CREDIBLE_PART` times the penetration; of a surface
-        that touches itself only other bodies count. For arguments see `hidden`.
+        The limit is `CREDIBLE_PART`; only other bodies count. For arguments see `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -237,9 +232,8 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     """Return the part (n, c, 2) of each convex polygon (n, k, 2) on the left of its line.
 
     The line goes through `start` (n, 2) along (n, 2) (Sutherland and Hodgman 1974). Polygons with
-    fewer than c corners repeat their last one, and all corners of an empty polygon are equal. If
-    corners coincide up to rounding, a polygon may cross its line more than twice; all crossings are
-    kept.
+    fewer than c corners repeat their last one, and all corners of an empty polygon are equal. A
+    polygon whose corners coincide up to rounding may cross its line more than twice.
     """
     n, corners, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -302,9 +296,9 @@ class SelfContact:
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
-        For facets of two bodies see `is_secondary_body`. If two facets of one body face each other
-        in the undeformed mesh, as in a slit or a ring, it is the facet whose normal points along
-        `ORDER`; otherwise, as on a folded sheet, the facet that comes first in this direction.
+        Of two bodies see `is_secondary_body`. If two facets of one body face each other in the
+        undeformed mesh, as in a slit, it is the facet whose normal points along `ORDER`; otherwise,
+        as on a folded sheet, the facet that comes first in this direction.
         """
         f, g = facet, partner
         of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
@@ -330,10 +324,10 @@ def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices)
 
 
 def facet_origins(V: Any, facets: Facets) -> Array:
-    """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
+    """Return `Facets.origins` of this rank's undeformed facets. Collective.
 
-    The columns are the body, the mean size of its facets [length], and the facet's centre (3)
-    [length], outward unit normal (3) and radius [length].
+    The columns are the body, the mean size of its facets, and the facet's centre (3), outward unit
+    normal (3) and radius, all lengths in [length].
     """
     comm = V.mesh.comm
     labels = label_bodies(V)
@@ -354,9 +348,8 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
     Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
     secondary on one facet and primary on the next. Both would have the same jump: the node that
     comes first in the mesh file has the multiplier, and the second one is redundant. So is a node
-    that is opposite to itself, such as the tip of a crack, which has no jump. Valid for nodes whose
-    facets are all on this rank. `paired` (p, 2) and `opposite` (q, 2) are pairs of facets as in
-    `MortarIntegrals`.
+    that is opposite to itself, such as the tip of a crack, which has no jump. Valid for nodes with
+    all facets on this rank; `paired` and `opposite` are `MortarIntegrals.pairs` and `.opposite`.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
