@@ -24,14 +24,12 @@ from dolfinx_tresca.guaranteed.stars import Stars
 from dolfinx_tresca.scene.pair import ContactForce, NormalForce, checked_goal
 from dolfinx_tresca.stiffness.system import LinearSystem
 
-#: Force that a cell lacks, relative to the largest force on a cell, above which the displacement is
-#: not in equilibrium: a force at a point, or a failed solve.
+#: Force that a cell lacks, relative to the largest on a cell, which tells of a force at a point.
 IMBALANCE = 1e-7
 
 #: Part of the bound by which a step of the conjugate gradient method must lower it, or the steps
 #: end. With half of it the bound is 2 % smaller, for up to one and a half times as many steps.
 GAIN = 0.02
-
 #: Changes of the load, in multiples of the load: where contact changes, smaller ones are better.
 MULTIPLES = (0.0625, 0.25, 1.0, 4.0)
 
@@ -49,8 +47,7 @@ class GuaranteedError:
         relative_error: `error` divided by |u|.
         cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
             root of the sum of squares is at least `error`, and hardly larger if `lift` is small.
-        stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
-            displacement [energy^(1/2)].
+        stress: |s - s(u)|, the distance of stress in equilibrium from that of u [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
             [energy^(1/2)]; zero for loads that are linear in cells, and tractions on facets.
         complementarity: integral of pressure times gap [energy].
@@ -224,8 +221,8 @@ class Bodies:
     ) -> GuaranteedError:
         """Return a bound of the error of a solution, with one solve with K. Collective.
 
-        The exact stress is in a ball round the mean of the stresses of the candidate, s and s(v):
-        the radius is |s - s(v)| / 2, but for contact and the oscillation.
+        The exact stress is in a ball round the mean of the candidate's stresses s and s(v), with
+        the radius |s - s(v)| / 2, but for contact and the oscillation.
         """
         loading, v, surfaces = self.candidate(dual, multipliers, u, self.load)
         of_u, of_v, defects = self.loading_of(u), self.loading_of(v), self.defects(surfaces, v)

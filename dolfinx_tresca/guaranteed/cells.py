@@ -1,11 +1,9 @@
 """Simplices: polynomials, shapes, constants, stresses; the cells of a mesh that a rank owns.
 
-Vertices are in ascending order of their global numbers, so that two cells agree on the order of the
-vertices of their common facet. Facet j is opposite to vertex j.
-
-The *loading* of cells, (n, d + 1, d + 1, d), are for each j the tractions on facet j at its
-vertices, then the load in the cell at vertex j; both are linear. A stress is in equilibrium with
-its loading: the load is minus its divergence.
+Vertices are in ascending order of their global numbers, so that two cells agree on their order in a
+common facet. Facet j is opposite to vertex j. The *loading* of cells, (n, d + 1, d + 1, d), are for
+each j the tractions on facet j at its vertices, then the load in the cell at vertex j; both are
+linear. A stress is in equilibrium with its loading: the load is minus its divergence.
 """
 
 from __future__ import annotations

@@ -22,7 +22,6 @@ from dolfinx_tresca.scene.pair import SideName
 
 #: Difference of unit normals, and of the primary means' entries from 1, that count as rounding.
 FLATNESS = 1e-8
-
 #: Penetration relative to the largest displacement that counts as rounding.
 PENETRATION = 1e-10
 
@@ -62,8 +61,7 @@ class ContactSurface:
         )
         alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
         alike &= bool((rows.operators.semi_axes == 1.0).all() and np.isfinite(bounds).all())
-        # The pair is paired as if nothing were prescribed, so that all nodes have jumps and
-        # distances; as displaced by zero, so that no warning is logged twice.
+        # paired as if nothing were prescribed, for jumps of all nodes; and as displaced, silently
         nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
         undeformed = Undeformed(V, nothing, PairGroup([pair]))
         (every,) = pair_displaced_surfaces(V, undeformed, np.zeros(self._free.shape))
@@ -97,11 +95,9 @@ class ContactSurface:
             self.sides.append((cell, facet, tractions[corners]))
 
     def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
-        """Return a side's facets whose vertices are all `touching` (nodes,).
+        """Find a side's facets whose vertices are all `touching` (nodes,).
 
-        Returns:
-            their cells (m,), their numbers in the cells (m,) and their vertices (m, d); and the
-            vertices of the other facets.
+        Return their cells (m,), numbers in cells (m,) and vertices (m, d); vertices of the others.
         """
         tags, numbers = self._pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])

@@ -14,7 +14,6 @@ from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Forces that a constant stiffness does not explain, relative to it, that count as rounding.
 STIFFNESS_ROUNDING = 1e-9
-
 #: Difference of the cosine of two unit normals from 1 that counts as rounding.
 NORMAL_ROUNDING = 1e-8
 
@@ -98,8 +97,7 @@ def loads(
     test, weight = map(ufl.TestFunction, (linears, fem.functionspace(mesh, ("DG", 0))))
     projection = fem.Function(linears)
     dofs = linears.dofmap.list[np.arange(n)[:, None], cells.order]
-    # For the integral over only one facet of each cell, `normal` is the normal of this facet, and
-    # the integrand is zero where normals differ
+    # for integrals over one facet of each cell: integrands are zero where its `normal` differs
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
     on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)

@@ -26,7 +26,6 @@ from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
 #: paired: flat facets farther from being parallel touch at their ends only. With twice this angle a
 #: chamfer of 45 degrees is paired with its wall; with half, wedges lose partners as they rotate.
 OPPOSED_ANGLE = 0.5
-
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
@@ -34,19 +33,17 @@ CANCELLED = 0.1
 #: the surface counts as curved over the side. Towards 1, at a kink between flat facets, the height
 #: falls to zero. (With half of this, heights on irregular meshes would change.)
 UNEVEN = 0.5
-
 #: Angle by which normals turn over a facet next to a kink [rad] up to which the mean normals at the
 #: kink are kept; from twice this angle on, the facet's own normal takes their place. (With
 #: zero, the friction of a block on a plank that it dents varies by 1 % as nodes pass.)
 KINK_ANGLE = 0.1
-
 #: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
 #: rounding does not decide between two flat sides, whose normals are equal to this accuracy.
 FLAT_ANGLE = 1e-3
 
-#: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
-#: neighbour's height: of the two slopes, of the mean curvature and of two differences of
-#: curvatures. With few neighbours the fit stays close to a sphere with the mean normal.
+#: Weights of the Tikhonov regularisation of the quadratic fit, relative to a neighbour's height: of
+#: the two slopes, of the mean curvature and of two differences of curvatures. With few neighbours
+#: the fit stays close to a sphere with the mean normal.
 TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 
@@ -117,9 +114,8 @@ class SmoothSurface:
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         turns_at_kinks[self._exact] = self.turns[self._exact]
         self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
-        # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim,
-        # since flat slabs of one layer of cells have no facets but there; facets whose geometry is
-        # known go on
+        # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim: a
+        # slab of one layer of cells has no other facets. Facets whose geometry is known have none
         self.across = _normals_across_edges(nodes)
         at_edge = self.across.any(axis=(1, 2))
         if facets.dim == 1:
@@ -205,8 +201,8 @@ class SmoothSurface:
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
         """Return vectors [length] from facets (n,) to the surface, and its unit normals, (n, 3).
 
-        They are at one reference point x (n, dim) of each facet. The surface is the exact one where
-        it is known, else the fitted one; bent facets are their own surface.
+        Each is at a reference point x (n, dim). The surface is the exact one if it is known, else
+        the fitted one; bent facets are their own surface.
         """
         facets = self.facets
         hats = facets.hats(x)

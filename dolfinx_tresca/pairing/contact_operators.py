@@ -43,12 +43,13 @@ def _space(operators: ContactOperators) -> dict[str, Any]:
 class ContactOperators:
     """The jump operators N and T of one pair, with weights, normals, gap and tangents.
 
-    N and T are PETSc matrices; their rows are distributed among the ranks like the contact nodes,
-    the columns like those of K. K and f are the stiffness matrix and the load of the problem, w the
-    areas of the rows' nodes, p the pressure, t the tangential traction and g the slip bound. The
-    solution satisfies K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap
-    and p (gap - N u) = 0; and at each node |t| <= g and T u = c t with a factor c >= 0, which is 0
-    if |t| < g. The how-to on embedding solves such a problem by non-negative least squares.
+    N and T are PETSc matrices of the jump of the displacement, secondary minus primary; making them
+    is collective. Ranks have their rows like the contact nodes, their columns like those of K, also
+    prescribed ones. K and f are the stiffness matrix and the load of the problem, w the areas of
+    the rows' nodes, p the pressure, t the tangential traction and g the slip bound. The solution
+    satisfies K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap and
+    p (gap - N u) = 0; and at each node |t| <= g and T u = c t with a factor c >= 0, which is 0 if
+    |t| < g. The how-to on embedding solves such a problem by non-negative least squares.
 
     Attributes:
         nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
@@ -69,8 +70,7 @@ class ContactOperators:
     ) -> None:
         """Wrap the operators of a pair; matrices are created on first use. Not collective.
 
-        `columns` converts a matrix from the columns of V to those of K, which differ if V is a
-        component of a mixed space.
+        `columns` converts a matrix from the columns of V to those of K, for mixed spaces.
         """
         self._V, self._pair, self._surfaces, self._columns = V, pair, surfaces, columns
         self.comm = V.mesh.comm
@@ -84,18 +84,12 @@ class ContactOperators:
 
     @cached_property
     def N(self) -> PETSc.Mat:
-        """Matrix of normal jumps N u [length], secondary minus primary, positive if closing.
-
-        Columns of prescribed degrees of freedom are not zeroed. Collective.
-        """
+        """Matrix of normal jumps N u [length], positive if closing. Collective."""
         return self._matrix(self._pair.N)
 
     @cached_property
     def T(self) -> PETSc.Mat:
-        """Matrix of tangential jumps T u [length], secondary minus primary, along `tangents`.
-
-        Without friction the matrix has no rows. Collective.
-        """
+        """Matrix of tangential jumps T u [length]; no rows without friction. Collective."""
         return self._matrix(self._pair.T)
 
     def _matrix(self, rows: Any) -> PETSc.Mat:
@@ -111,8 +105,8 @@ class ContactOperators:
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
 
-        The Function is a scalar of degree 1 on the mesh of the displacement: `weights` on the
-        secondary side, and their transfer on the primary side, with the same sum.
+        It is a scalar of degree 1 on the mesh of the displacement: `weights` on the secondary side,
+        and their transfer on the primary side, with the same sum.
         """
         Q = fem.functionspace(self._V.mesh, ("Lagrange", 1))
         weights = self._pair.weights[:, None]
@@ -127,8 +121,8 @@ class ContactOperators:
         node's hat function over all facets of the pair. The fraction is 1 if all facets at a node
         face the other side, whether they touch it or not, and less at the rim of the overlap. It is
         0 at secondary nodes beyond the rim, which carry no multiplier: the neighbours of these
-        nodes take over their areas, and may have fractions above 1. After `update_geometry` it also
-        contains the factor by which the displacement has stretched the facets.
+        nodes take over their areas, and may have fractions above 1. After `update_geometry` the
+        fraction also contains the stretch of the facets.
 
         Multiply nodal values by this fraction to integrate them in forms: the integral over the
         facets of either side is then the sum of the values times `areas`, for

@@ -1,7 +1,4 @@
-"""The jump at secondary nodes: the dual basis, gaps, normals and directions of friction.
-
-The first functions decide which secondary nodes carry multipliers, and what to do if none does.
-"""
+"""Which secondary nodes carry multipliers; their jumps, gaps, normals, directions of friction."""
 
 from __future__ import annotations
 
@@ -40,27 +37,22 @@ from dolfinx_tresca.scene.pair import ContactPair
 #: 1 - d at the distance d in sizes of the facet. With 0.76, nodes just beyond a block's edge would
 #: have up to 1.5 times the pressure on the edge; with 0.94, nodes of a circle of 16 segments none.
 LEAST_MEAN = 0.88
-
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered: on
 #: an overlap as wide as one or two facets `LEAST_MEAN` would leave a line of nodes, about which a
 #: body could rotate. With half of it, nodes with a twentieth of their area covered would count.
 LEAST_MEAN_OF_FEW = 0.45
-
 #: Least covered part of a node's area with which the node carries a multiplier: no round number,
 #: since rounding would decide for overlaps by a round part of a cell, such as 0.1 or 0.01.
 LEAST_AREA_PART = 3e-4
 
-#: A warning is logged if bodies penetrate by less than this part of the sagitta (the height of
-#: their curved surfaces over the facets), whose error is 1 to 5 %.
+#: Penetration that is warned of, relative to the sagitta, whose error is 1 to 5 %.
 CLOSE_FIT = 0.5
-
 #: Part of the nodes that must penetrate for a press fit: errors of the sagitta bring in only a few.
 FITTED_PART = 0.25
 
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
 #: rounding of the coordinates times the sum of the row.
 ENTRY_ROUNDING = 8.0
-
 #: Difference of the means of two patches of a node over the primary side, relative to the means, up
 #: to which they face the same place. (With 0.5 friction is a sixth too small under a bolt's head.)
 SAME_MEANS = 1e-3
@@ -71,11 +63,10 @@ def corners_that_carry(
 ) -> Mask:
     """Return the mask (facets, corners) of the corners that carry multipliers. Collective.
 
-    Nodes beyond the rim of the overlap carry none: a part of their area may be covered, but they do
-    not face the primary side, and with the nodal force of a whole facet on this part their pressure
-    would be far too large. Neighbours take over their part. If no corner of a covered facet is
-    left, the corner with the largest covered part carries. All ranks that have a node decide alike;
-    `shared` (n,) are nodes that also belong to the primary side.
+    Nodes beyond the rim of the overlap carry none: with the nodal force of a whole facet on the
+    covered part of their area, their pressure would be far too large. Neighbours take over this
+    part. If no corner of a covered facet is left, the corner with the largest covered part carries.
+    All ranks decide alike; `shared` (n,) are nodes that also belong to the primary side.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     agreed = partial(owners_flags, V, nodes.numbers)
@@ -95,9 +86,8 @@ def corners_that_carry(
     at_rim = corners_of(partly)
     without = agreed(at_rim & (covered < LEAST_MEAN * whole))
     # `LEAST_MEAN` decides at nodes that are `near` a fully covered facet, else `LEAST_MEAN_OF_FEW`.
-    # `near` in three steps: the nodes at the rim that belong to fully covered facets; in addition,
-    # their neighbours at the rim; last, all corners of each partly covered facet on which one of
-    # these nodes has a multiplier
+    # `near` in three steps: nodes at the rim of fully covered facets; in addition, their neighbours
+    # at the rim; last, all corners of partly covered facets where one of these has a multiplier
     near = agreed(at_rim & corners_of(integrals.full))
     near = agreed(at_rim & (near | corners_of(partly & near[corners].any(axis=1))))
     near = corners_of(partly & (near & ~without)[corners].any(axis=1))
@@ -207,8 +197,6 @@ def couple(
     The jump at a node is the difference of the means over both sides, weighted with the node's
     function of the dual basis. The gap is the mean distance along the contact normal of the exact
     surfaces where they are known, else of the facets with the heights of fitted surfaces.
-    Directions in which the displacement is prescribed have no rows; for exceptions see
-    `PairOperators`.
 
     `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
     and `shared` (n,) are as in `corners_that_carry`. If the surfaces are `displaced`, penetration
@@ -234,9 +222,8 @@ def couple(
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     if not displaced and primary is not None:
-        # Functions of the dual basis are negative in part: a mean may be less than all distances
-        # around the node. (The gap of displaced surfaces must change as N says, or the positions of
-        # finite sliding do not converge.)
+        # Functions of the dual basis are negative in part: a mean may be less than all distances.
+        # (Of displaced surfaces it must change as N says, or finite sliding does not converge.)
         gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
@@ -379,8 +366,8 @@ def assemble_rows(
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
-    Primary nodes whose share of the means (n, nodes of V) is `NEGLIGIBLE`, and nodes within edges
-    of facets of degree 2, do not count. A node that faces none is free in no direction.
+    Only corners whose share of the means (n, nodes of V) is not `NEGLIGIBLE` count. A node that
+    faces none is free in no direction.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     counts = np.abs(primary.data) > NEGLIGIBLE
@@ -402,9 +389,9 @@ def _normals_and_room(
     largest weight. Patches that face different places, such as the head of a bolt and its shank in
     a hole with clearance, are independent of each other.
 
-    Patches are given as in `SurfaceNodes`, by the `numbers` (n,) of their nodes; with sparse means
-    (n, nodes of V) over the primary side, empty for an obstacle; normals (n, d); axes (n, d) along
-    which friction may act; and (n,) whether the displacement is free along the normal.
+    Patches are given as in `SurfaceNodes`, by `numbers` (n,) of nodes; with sparse means over the
+    primary side (n, nodes of V); normals (n, d); axes (n, d) along which friction may act; and (n,)
+    whether the displacement is free along the normal.
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])

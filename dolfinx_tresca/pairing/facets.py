@@ -37,15 +37,12 @@ FACET_ARRAYS = (
 #: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet of 30
 #: degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
 OFFSET_DEGREE = 4
-
 #: Largest number of Newton steps that find a reference point.
 NEWTON_STEPS = 20
 
-#: Distance of two corners, relative to the size of the facet, up to which they match, in addition
-#: to the rounding of coordinates, and part of an area that may be uncovered, or covered twice.
-#: Meshes of a mesh generator differ by 1e-10 or less.
+#: Distance of two corners, relative to the facet, up to which they match, in addition to rounding,
+#: and part of an area that may be uncovered. Meshes of mesh generators differ by 1e-10 or less.
 MISMATCH = 1e-8
-
 #: What is nothing beside a facet, above the mismatch of meshes and far below their resolution: a
 #: part of its area, the distance of surfaces that touch relative to its radius, the cosine between
 #: its normal and a line along it, the length of a sum of normals relative to their weights.
@@ -55,7 +52,6 @@ NEGLIGIBLE = 1e-6
 #: degrees): beyond, its area is more than ten times that of its projection. Also the least length
 #: of the projection of a unit normal onto the free directions with which it replaces the normal.
 FACING_COSINE = 0.1
-
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
 #: between them: polygons of seven or more sides are smooth; boxes and hexagons have sharp edges.
 EDGE_ANGLE = 55.0
@@ -255,10 +251,9 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
-    """Find the reference points (n, dim) of facets whose images are the `target` points (n, dim).
+    """Find the reference points (n, dim) whose images are the `target` points (n, dim) of a plane.
 
-    Each target has a facet with nodes (n, k, dim), projected into a plane [length]; `facets` gives
-    their cell and degree.
+    Each has a facet with nodes (n, k, dim) in the plane [length]; `facets` has cell and degree.
     """
     # the affine map is exact for straight segments, triangles and parallelograms
     sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(facets.dim)], axis=2)
@@ -362,8 +357,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 def free_normals(vectors: Array, free: Mask) -> Array:
     """Return unit normals (n, 3) along vectors, without components that are not `free` (n, dim).
 
-    A vector keeps all components if the length of its free ones is at most `FACING_COSINE` of its
-    length.
+    A vector keeps all components if the free ones have at most `FACING_COSINE` of its length.
     """
     normals = unit(vectors)
     movable = normals.copy()

@@ -41,38 +41,33 @@ FACET_LENGTH = 2.0
 #: twice instead of three times, the force on a cylinder with cells of a third of its radius is 9 to
 #: 18 % too large, instead of 0 to 7 %.
 RESOLVED_ANGLE = math.radians(10.0)
-
-#: Angle [rad] over a facet from which on an obstacle that enters the facet is warned of: forces of
-#: cylinders are then right to a quarter, those of balls to a factor of 1.7.
+#: Angle [rad] from which on an obstacle that enters a facet is warned of: forces of cylinders are
+#: then right to a quarter, those of balls to a factor of 1.7.
 COARSE_ANGLE = 3.0 * RESOLVED_ANGLE
 
 #: Height over its nearest point up to which an obstacle is seen, relative to its height over the
 #: corners of a facet whose middle it touches. With half of it a cylinder as small as the facets has
 #: up to 1.5 times the force; with 1.5 times of it, half the force.
 SEEN_HEIGHT = 1.0 / 3.0
-
 #: Degree of exactness of the quadrature over facets on which an obstacle is seen.
 SEEN_DEGREE = 16
-
-#: Part of the depth by which an obstacle enters facets, unseen, that is warned of. (With cells of
-#: 4/3 of the radius of a cylinder it was 0.54, and the force right to 16 %.)
+#: Unseen part of the depth by which an obstacle enters facets that is warned of. (On cells of 4/3
+#: of a cylinder's radius it was 0.54, and the force right to 16 %.)
 UNSEEN_PART = 0.3
 
 
 @dataclass
 class FacetIntegrals:
-    """Integrals over the parts of secondary facets that face the primary side.
+    """Integrals over parts of secondary facets that face the primary side [length^2, 2D length].
 
     Attributes:
-        hats: (n, corners, corners) integrals of products of two secondary hat functions [length^2,
-            in 2D length].
+        hats: (n, corners, corners) integrals of products of two secondary hat functions.
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         means: (n, corners, 6) integrals of secondary hat functions times six quantities: the
             distance of the surfaces along the contact normal; the height of the secondary surface
             over its facets (zero if an exact surface is known); the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
-        least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
-            To an obstacle it is the least distance of a node.
+        least: (n,) least distance over each facet, to an obstacle of its nodes; else infinite.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
@@ -160,8 +155,8 @@ class MortarIntegrals(FacetIntegrals):
     """Integrals over the covered parts of secondary facets, which face the primary side.
 
     Primary facets are projected along the normal of a secondary facet; each overlap is cut into
-    triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Points hidden by a body are
-    excluded, and among several layers the nearest one is integrated.
+    triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Only points of the nearest
+    layer count that no body hides.
 
     Attributes:
         opposite: (q, 2) pairs of facets of a surface that touches itself whose roles are exchanged:
@@ -191,8 +186,7 @@ class MortarIntegrals(FacetIntegrals):
         self._visibility = Visibility(self._pieces, self._partners, body)
         simplex = "interval" if facets.dim == 1 else "triangle"
         x, w = quadrature(simplex, self._exactness())
-        # barycentric coordinates (q, dim + 1) of points of a simplex, their weights (q,), and the
-        # matrix from values at these points to values at corners
+        # quadrature points (q, dim + 1), their weights (q,), and the map of values there to corners
         self._barycentric, self._weights = np.column_stack([1.0 - x.sum(axis=1), x]), w / w.sum()
         self._to_corners = np.linalg.pinv(self._barycentric).T
         self._area, count = self._pieces.areas, len(self._pieces.facet)
@@ -381,8 +375,8 @@ class MortarIntegrals(FacetIntegrals):
         to_surface, to_partner = (np.where(equal, 0.0, side.to_surface) for side in (own, theirs))
         secondary_sagitta = (is_fitted & ~coincide) * surface.heights(own.facet, cut.hats)
         sagitta = dots(to_surface - to_partner, normals)
-        # a vector between the surfaces: the distance of the facets minus both heights would lose
-        # accuracy for closely fitting bodies, for which heights are much larger than the distance
+        # not the distance of the facets minus both heights: if these are much larger than the
+        # distance, the difference would lose accuracy
         apart = theirs.height - own.height
         between = apart[:, None] * self._pieces.normals[cut.piece[point]]
         distance = dots(between + to_partner - to_surface, normals)
@@ -401,9 +395,8 @@ def obstacle_integrals(
     also seen between the nodes; what undeformed bodies enter unseen is warned of.
 
     Returns:
-        the nodes, with the facets of all patches at one entry of each node, since the patches share
-        the normal of the obstacle; the integrals; and whether a facet faces the obstacle at its
-        corners (n, corners).
+        the nodes, where facets of all patches have one entry of a node, since they share the normal
+        of the obstacle; the integrals; and whether facets face it at their corners (n, corners).
     """
     facets, centre = nodes.facets, quadrature(nodes.facets.cell, 1)[0]
     entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
@@ -414,15 +407,13 @@ def obstacle_integrals(
         at_corners = obstacle.at(nodes.points)[1][nodes.facet_nodes]
         centres = facets.points_at(centre)[:, 0]
         _, at_centres = obstacle.at(centres)
-        # A facet faces the obstacle at a corner if the normals of both are opposed at this corner
-        # and at the centre of the facet. So, if an edge of the body lies in a corner between walls
-        # of the obstacle, only the facets in front of the nearest wall count at the edge's nodes.
+        # A facet faces the obstacle at a corner if the normals are opposed there and at the centre:
+        # at an edge in a corner between two walls, the facets in front of the nearest wall do.
         corner_normals = unit(facets.area_vectors(facets.lagrange_points(1)))
         faces: Mask = dots(corner_normals, at_corners) < -FACING_COSINE
         faces &= (dots(facets.mean_normals, at_centres) < -FACING_COSINE)[:, None]
         facing = np.asarray(faces.any(axis=1))
-        # nodes have the obstacle's normal where the mesh resolves the angle by which it turns over
-        # facets, else the mean of both sides' normals
+        # nodes have the obstacle's normal if the mesh resolves its turns, else the mean of both
         turns = turned_angles(dots(at_corners, at_centres[:, None])) * facing
         at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
         own_turns = surface.turns[:, None]
@@ -476,9 +467,8 @@ def _warn_of_unseen(
 ) -> None:
     """Warn if an obstacle enters facets (n,) farther than the mesh sees. Collective.
 
-    `depth` is how far it enters a facet [length], `seen` the depth that nodes see, or means around
-    them, and `turns` the angle by which its normal turns [rad]; `extent` is the largest coordinate
-    [length], which gives the rounding of depths.
+    `depth` is how far it enters a facet, `seen` the depth that nodes see, or means around them, and
+    `extent` the largest coordinate [length]; `turns` is the angle by which its normal turns [rad].
     """
     greatest = [array.max(initial=0.0) for array in (depth, depth - seen, turns * (depth > 0.0))]
     deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
@@ -517,9 +507,8 @@ def _see_between_nodes(
     these facets. So the force acts where the obstacle touches. The height is a part (`SEEN_HEIGHT`)
     of the height of the obstacle over the corners of a facet whose middle it touches.
 
-    `turns` (n,) is the angle by which the obstacle's normal turns over each facet [rad], zero for
-    facets that do not face it. The integrals change in place over the facets (m,) that are
-    returned; there, hat functions count as dual.
+    The obstacle's normal turns by `turns` (n,) over facets [rad], zero where they do not face it.
+    The integrals change in place over the facets (m,) that are returned; hats count as dual there.
     """
     facets = nodes.facets
     # share (m, corners, 1) of the new means, which take over gradually as the angle grows

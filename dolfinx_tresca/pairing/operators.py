@@ -21,7 +21,6 @@ NODE_ARRAYS = (
     *("nodes", "weights", "shares", "areas", "places", "normals", "distance", "added_gap"),
     *("secondary_sagitta", "jump", "primary", "prescribed", "has_normal_row"),
 )
-
 #: Attributes of `PairOperators` with a row for each row of T.
 TANGENTIAL_ARRAYS = ("tangents", "tangent_node", "semi_axes")
 

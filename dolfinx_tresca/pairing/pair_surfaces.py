@@ -147,9 +147,8 @@ def _check_meshes_match(
 ) -> None:
     """Raise PairingError unless each secondary node faces one primary node. Collective.
 
-    On matching meshes the means at a node are over one node of each side; with degree 2 they have
-    equal weights on both sides. Elsewhere the sums of the squares of the weights differ by one to
-    two times the distance of the nodes along the surface, relative to the size of a facet.
+    On matching meshes the means at a node have equal weights on both sides. Elsewhere the sums of
+    their squares differ by one to two times the distance of the nodes, in sizes of a facet.
     """
     differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
     apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
@@ -198,8 +197,7 @@ def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes
     outside = fem.locate_dofs_topological(V, tags.dim, outside)
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
     entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
-    # Places are rounded to a small part of the smallest facet. Equal places have equal sums, and so
-    # are sent to the same rank, which counts them.
+    # equal places, up to a small part of the smallest facet, are sent to one rank by their sum
     diameters = np.linalg.norm(np.ptp(nodes.facets.points, axis=1), axis=1)
     smallest = reduce_array(comm, diameters.min(initial=np.inf), MPI.MIN)
     places = np.round(nodes.points[own][entry] / (NEGLIGIBLE * smallest)).astype(np.int64)

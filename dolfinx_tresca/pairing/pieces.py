@@ -31,8 +31,7 @@ AT_ONCE = 2048
 #: to the penetration for parallel surfaces, and zero if the normal runs along a face.
 CREDIBLE_PART = 0.1
 
-#: Component of a direction in place of smaller ones and of zero: lines meet planes to which they
-#: are parallel at a distance that is larger than any mesh.
+#: Least component of a direction: lines meet planes to which they are parallel very far away.
 PARALLEL = 1e-30
 
 
@@ -51,7 +50,6 @@ def line_intervals(
     Return the parameters (n,) [length] at which lines with origins (n, 3) and unit directions
     (n, 3) enter and leave the box. A line that misses the box enters later than it leaves.
     """
-    # a line that is parallel to a side of the box meets its plane far away
     slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
     at_low = (box[0] - reach[:, None] - origins) / slopes
     at_high = (box[1] + reach[:, None] - origins) / slopes
@@ -197,8 +195,7 @@ class Pieces:
 
 
 #: Distance from a piece, relative to the radius of the largest piece, within which the second ring
-#: of its neighbours begins. With half of it, curved facets at the end of the halo would have other
-#: normals than on their own rank.
+#: of its neighbours begins. With half of it, curved facets there would have other normals.
 TWO_RINGS = 4.0
 
 

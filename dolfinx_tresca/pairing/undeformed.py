@@ -70,8 +70,7 @@ class PairGroup:
         for pair in pairs[1:]:
             _check_agree(pattern, pair)
         tags_of_pairs = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
-        # the tags of each side, each tag once; a group with an obstacle has no primary tags, and
-        # one column in `pair_of_tags`
+        # each tag of a side once; an obstacle has no tags, but a column in `pair_of_tags`
         secondary, primary = (
             list(dict.fromkeys(chain.from_iterable(tags)))
             for tags in zip(*tags_of_pairs, strict=True)
@@ -141,8 +140,7 @@ def _same(pair: ContactPair, second: ContactPair) -> bool:
 def _strength(law: Friction) -> tuple[int, float, float]:
     """Return what orders laws by strength: kind, coefficient of friction and constant bound.
 
-    The kinds are 0 without friction, 1 with friction and 2 for bonded surfaces. Bounds that are
-    neither numbers nor Constants count as 0.
+    The kind is 2 if bonded, 1 with friction, else 0; bounds that are no numbers count as 0.
     """
     if not isinstance(law, DryFriction):
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
@@ -320,9 +318,8 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
 def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]:
     """Return the sides of a pair with the offsets of the surfaces whose geometry is known.
 
-    The geometry is `pair.geometry`, or else the one that the pair's tags know. Without one for any
-    tag, the sides are returned unchanged; so they are, with a warning, if a geometry fails that the
-    user did not give. Collective.
+    The geometry is `pair.geometry`, or else the one that the pair's tags know. Without one, or with
+    a warning if that of the tags fails, the sides are returned unchanged. Collective.
     """
     geometry, limit = pair.geometry, FAR_CORNER
     if geometry is None:
@@ -386,9 +383,8 @@ def _offsets_of_tags(
 def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
     """Return the `Facets.offsets` of facets by the projections onto the pieces of their surface.
 
-    A facet belongs to the piece that is nearest to its corners; if corners are on several pieces,
-    to the one nearest to its centre, so that a facet at an edge is not projected onto the surface
-    beyond the edge.
+    A facet belongs to the piece that is nearest to its corners; at an edge, where corners are on
+    several pieces, to the one nearest to its centre.
     """
     points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
 
@@ -417,8 +413,8 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: i
 def straightened(V: Any, u: Array) -> Array:
     """Return u (nodes, dim) without what would bend edges beyond the degree of the geometry.
 
-    If V has a higher degree, each node that is not at a vertex is moved by the mean displacement of
-    the vertices of its edge, face or cell [length].
+    If V has a higher degree, nodes between vertices get the mean displacement of the vertices of
+    their edge, face or cell [length].
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):

@@ -27,7 +27,6 @@ SHALLOW_DEPTH = 0.1
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1,
 #: rounding would decide between equal bricks.
 FINER = 2.0**-0.5
-
 #: Direction that orders the facets of one body, parallel to no face of a usual slit: on such a slit
 #: rounding would decide the roles, and most nodes would lose their multipliers.
 ORDER = np.array([0.49, 0.63, 0.60])
@@ -66,12 +65,9 @@ class Visibility:
     ) -> Mask:
         """Return whether each primary point is hidden from the opposite secondary point, (n,).
 
-        Args:
-            piece: (n,) the secondary piece of each point, ascending.
-            places: (n, d) point in the plane of the piece, relative to its centre [length].
-            start: (n,) height of the secondary side over the plane, along the normal [length].
-            end: (n,) height of the primary side over the plane [length].
-            partner: (n,) the primary piece of each point.
+        Both are on the normal of the secondary `piece` (n,), ascending, through `places` (n, d) in
+        its plane, relative to its centre: the secondary point at the height `start` (n,), and the
+        primary point at the height `end` (n,), on the piece `partner` (n,) [length].
         """
         result, in_one_body = np.zeros((2, len(piece)), dtype=np.bool_)
         if self._body is not None:
@@ -261,12 +257,11 @@ def _cross(a: Array, b: Array) -> Array:
 class SelfContact:
     """Decides which facets of a surface that touches itself may meet, and which is secondary.
 
-    Its attributes are the columns of `facet_origins`, with `centre` and `normal` in the undeformed
-    mesh, and `present_centre` and `present_normal`; `corners` (n, corners) are nodes.
+    Its attributes are the columns of `facet_origins`, in the undeformed mesh; `present_centre` and
+    `present_normal`; and the nodes at the `corners` (n, corners).
     """
 
     def __init__(self, facets: Facets) -> None:
-        """Take the data of n facets with `origins`."""
         columns = np.split(facets.origins, [1, 2, 5, 8], axis=1)
         body, size, self.centre, self.normal, radius = columns
         self.body, self.size, self.radius = body[:, 0].astype(np.intp), size[:, 0], radius[:, 0]
