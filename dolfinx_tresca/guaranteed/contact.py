@@ -61,7 +61,7 @@ class ContactSurface:
         )
         alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
         alike &= bool((rows.operators.semi_axes == 1.0).all() and np.isfinite(bounds).all())
-        # paired as if nothing were prescribed, for jumps of all nodes; and as displaced, silently
+        # paired as if nothing were prescribed, for jumps of all nodes; as displaced: no warnings
         nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
         undeformed = Undeformed(V, nothing, PairGroup([pair]))
         (every,) = pair_displaced_surfaces(V, undeformed, np.zeros(self._free.shape))

@@ -45,7 +45,7 @@ LEAST_MEAN_OF_FEW = 0.45
 #: since rounding would decide for overlaps by a round part of a cell, such as 0.1 or 0.01.
 LEAST_AREA_PART = 3e-4
 
-#: Penetration that is warned of, relative to the sagitta, whose error is 1 to 5 %.
+#: Penetration below which a fit is warned of, relative to the sagitta, whose error is 1 to 5 %.
 CLOSE_FIT = 0.5
 #: Part of the nodes that must penetrate for a press fit: errors of the sagitta bring in only a few.
 FITTED_PART = 0.25

@@ -58,16 +58,16 @@ UNSEEN_PART = 0.3
 
 @dataclass
 class FacetIntegrals:
-    """Integrals over parts of secondary facets that face the primary side [length^2, 2D length].
+    """Integrals over the parts of secondary facets that face the primary side.
 
     Attributes:
-        hats: (n, corners, corners) integrals of products of two secondary hat functions.
+        hats: (n, corners, corners) integrals of products of two secondary hat functions [area].
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         means: (n, corners, 6) integrals of secondary hat functions times six quantities: the
             distance of the surfaces along the contact normal; the height of the secondary surface
             over its facets (zero if an exact surface is known); the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
-        least: (n,) least distance over each facet, to an obstacle of its nodes; else infinite.
+        least: (n,) least distance over each facet, infinite if unpaired; with obstacles of nodes.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
@@ -267,7 +267,7 @@ class MortarIntegrals(FacetIntegrals):
         # least distance of each simplex: of the linear function that fits the distances best
         least = (means[:, 0].reshape(-1, q) @ self._to_corners).min(axis=1)
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
-        # sums over the pairs that overlap: the simplices of a pair follow each other
+        # sums over each of the pairs that overlap: its simplices follow each other from a start on
         pairs, starts = np.unique(cut.pair, return_index=True)
         piece, area = mine[pairs], np.add.reduceat(weight, starts * q)
         seen_area = np.bincount(piece, np.add.reduceat(seen, starts * q), minlength=len(limit))

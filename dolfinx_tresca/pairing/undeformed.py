@@ -231,7 +231,7 @@ class Undeformed:
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return this rank's facets of a side; check tags, areas, and the boundary. Collective."""
+    """Return this rank's facets of a side; check that tags have exterior ones. Collective."""
     mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
     comm, dim = mesh.comm, mesh.topology.dim - 1
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
@@ -299,7 +299,7 @@ def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indice
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Return facets with `bent` set for all ranks; PairingError without area. Collective."""
+    """Return facets with `bent` as on all ranks; raise PairingError without area. Collective."""
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
     # the area is compared with the own diameter squared; the length (2D) with the largest facet
