@@ -24,16 +24,13 @@ from dolfinx_tresca.guaranteed.stars import Stars
 from dolfinx_tresca.scene.pair import ContactForce, NormalForce, checked_goal
 from dolfinx_tresca.stiffness.system import LinearSystem
 
-#: Force that a cell lacks, relative to the largest force on a cell, above which the displacement is
-#: not in equilibrium: a force at a point, or a failed solve.
+#: Force that a cell lacks, relative to the largest on a cell, which tells of a force at a point.
 IMBALANCE = 1e-7
 
 #: Part of the bound by which a step of the conjugate gradient method must lower it, or the steps
 #: end. With half of it the bound is 2 % smaller, for up to one and a half times as many steps.
 GAIN = 0.02
-
-#: Multiples of the size of the change of the load that is as large as the load. Where contact
-#: changes, smaller ones give narrower intervals.
+#: Changes of the load, in multiples of the load: where contact changes, smaller ones are better.
 MULTIPLES = (0.0625, 0.25, 1.0, 4.0)
 
 
@@ -41,19 +38,16 @@ MULTIPLES = (0.0625, 0.25, 1.0, 4.0)
 class GuaranteedError:
     """A proven bound of |u - u*|, where u* is the exact solution on the domain of the mesh.
 
-    The norm is the energy norm, |v|^2 = a(v, v). The bound is proven up to rounding
-    (docs/theory/guaranteed.md). u* is the solution of Tresca's problem whose gaps and slip bounds
-    are linear between contact nodes; if bounds depend on the pressure, they are those of the
-    solution.
+    The norm is the energy norm, |v|^2 = a(v, v). The bound is proven up to rounding. u* solves
+    Tresca's problem with gaps and slip bounds that are linear between contact nodes; bounds that
+    depend on the pressure are those of the solution.
 
     Attributes:
         error: bound of |u - u*| [energy^(1/2)].
         relative_error: `error` divided by |u|.
         cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
-            root of the sum of their squares is at least `error`, and at most some percent larger
-            if `lift` is small.
-        stress: |s - s(u)|, the distance of the stress in equilibrium from the stress of the
-            displacement [energy^(1/2)].
+            root of the sum of squares is at least `error`, and hardly larger if `lift` is small.
+        stress: |s - s(u)|, the distance of stress in equilibrium from that of u [energy^(1/2)].
         oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
             [energy^(1/2)]; zero for loads that are linear in cells, and tractions on facets.
         complementarity: integral of pressure times gap [energy].
@@ -80,8 +74,7 @@ class Candidate(NamedTuple):
     """A stress and a displacement that bound the exact solution of a load.
 
     Attributes:
-        loading: (n, d + 1, d + 1, d) loading that balances the load, and has the tractions of the
-            surfaces.
+        loading: (n, d + 1, d + 1, d) loading that balances the load, with tractions of contact.
         v: a displacement that does not penetrate.
         surfaces: the contact surfaces, with admissible tractions.
     """
@@ -92,7 +85,15 @@ class Candidate(NamedTuple):
 
 
 class Bodies:
-    """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium."""
+    """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium.
+
+    Attributes:
+        stiffness: (n, d * d, d * d) elasticity tensors of the cells.
+        unknown: (n, d + 1, d) whether a component of the traction on a facet is unknown: inside the
+            body, and where the displacement of all nodes is prescribed along it.
+        factors: (n, d + 2) bounds of the work of loads, see `forms.loads`.
+        load: (n, d + 1, d + 1, d) loading of the form L; `oscillation` (n,) bounds what it lacks.
+    """
 
     def __init__(self, linear: LinearSystem, dual: DualProgram) -> None:
         """Check what the bound covers, and factor the equations of all stars. Collective."""
@@ -111,15 +112,16 @@ class Bodies:
         self.energies = StressEnergies(cells, inverse)
         prescribed = cells.spread(linear.prescribed.reshape(-1, cells.d)) > 0.0
         held = prescribed[cells.facet_nodes].all(axis=(2, 3))
-        self.unknown = held | (cells.sides[cells.facets, 0] == 2.0)  # or inside
+        self.unknown = held | (cells.sides[cells.facets, 0] == 2.0)
         self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
         self.factors = cells.load_factors() / np.sqrt(least)[:, None]
         self.factors[:, 1:] *= ~held.all(axis=2)  # facets that are held take any load
         self.load, self.oscillation = loads(L, cells, self.factors, maps)
 
     def loading_of(self, w: fem.Function) -> Array:
-        """Return the loading of the stress of a displacement."""
+        """Return the loading (n, d + 1, d + 1, d) of the stress of a displacement."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
+        # at vertex i, C_ij lambda_i lambda_j summed has the gradient 2 C_ij grad lambda_j summed
         coefficients = 2.0 * np.swapaxes(bernstein(w.x.array.reshape(-1, d)[cells.nodes]), 2, 3)
         slopes = coefficients.reshape(n, corners * d, corners) @ cells.gradients
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
@@ -138,11 +140,12 @@ class Bodies:
     def candidate(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, load: Array
     ) -> Candidate:
-        """Return the candidate of a load; this takes one solve with K. Collective.
+        """Return the candidate of a load (n, d + 1, d + 1, d), with one solve with K. Collective.
 
-        The multipliers (size,) are of the dual problem that was solved, for this or another load.
+        The multipliers (size,) and u are the solution for this or another load.
         """
         cells, d, given = self.cells, self.cells.d, load.copy()
+        # what contact gives: tractions, and a displacement that does not penetrate
         at_solution = dual.section_at(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
@@ -153,25 +156,34 @@ class Bodies:
             surface.lift(v)
             for cell, facet, tractions in surface.sides:
                 given[cell, facet, :d] += tractions
-        # forces at vertices balance hat functions, for displacements of any degree
+        # A stress in discrete equilibrium: forces at vertices balance hat functions, for
+        # displacements of any degree. Its tractions take the place of unknown ones.
         of_u, force = self.loading_of(u), zero_like(u, "force")
         missing, vertices = cells.resultants(given - of_u), np.einsum("nkk->nk", cells.nodes)
         force.x.array[:] = summed_at_nodes(self.V.dofmap.index_map, vertices, missing).ravel()
         discrete = of_u + self.loading_of(self.response(dual, force, rtol=1e-12))
         np.copyto(given[:, :, :d], discrete[:, :, :d], where=self.unknown[:, :, None])
         loading = self.stars.equilibrated(given, discrete)
+        self._check_equilibrium(loading, of_u)
+        return Candidate(loading, v, surfaces)
+
+    def _check_equilibrium(self, loading: Array, of_u: Array) -> None:
+        """Raise ContactError if a loading has a force or moment on any cell. Collective.
+
+        Forces are compared with those of the loading and of the solution's stress, `of_u`: a stress
+        that balances L alone may be free of forces.
+        """
+        cells = self.cells
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
         lacking = np.einsum("nrkd,nkd->nr", rigid_motions(arms), cells.resultants(loading))
-        # a stress that balances L alone may be free of forces, but not that of u
-        forces = cells.areas[:, :, None, None] * np.maximum(np.abs(loading), np.abs(of_u))[:, :, :d]
-        lack, size = largest_abs(self.comm, lacking, forces)
+        largest = np.maximum(np.abs(loading), np.abs(of_u))[:, :, : cells.d]
+        lack, size = largest_abs(self.comm, lacking, cells.areas[:, :, None, None] * largest)
         if not lack <= IMBALANCE * size:  # NaN fails, too
             raise ContactError(
                 f"the displacement is not in equilibrium: on a cell, forces of {lack:.1e} are "
                 f"missing, where forces on facets are up to {size:.1e}. A displacement that "
                 "is prescribed at a point, and not on facets, cannot hold a force."
             )
-        return Candidate(loading, v, surfaces)
 
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
         """Return `ContactSurface.defects` (n, 2) [energy] over the facets of cells. Collective."""
@@ -181,14 +193,16 @@ class Bodies:
         return result
 
     def shorten(self, difference: Array, gain: float) -> None:
-        """Add tractions without resultants that make a stress smaller, in place. Collective.
+        """Lower the norm of a stress by tractions that leave cells in equilibrium. Collective.
 
-        `difference` is its loading. Steps end if one lowers its norm by less than the part `gain`.
+        These are steps of the preconditioned conjugate gradient method (`Stars.preconditioned`), in
+        place in the loading `difference`. They end if a step lowers the squared norm by less than
+        the part `gain` of twice this square or, if that is less, of the decrease so far: for goals
+        the norm is large by itself, and its decrease tells more.
         """
         descent = -self.energies.derivative(difference)
         square = -float(reduce_array(self.comm, (difference * descent).sum()))
         direction, previous, lowered, total = np.zeros_like(descent), np.inf, square, 0.0
-        # for goals the distance is large by itself, and its decrease tells more
         while lowered > gain * min(total, 2.0 * square) and square > 0.0:
             step = self.stars.preconditioned(descent)
             slope = float(reduce_array(self.comm, (step * descent).sum()))
@@ -205,15 +219,19 @@ class Bodies:
     def error(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, gain: float = GAIN
     ) -> GuaranteedError:
-        """Return a bound of the error of a solution, with one solve with K. Collective."""
+        """Return a bound of the error of a solution, with one solve with K. Collective.
+
+        The exact stress is in a ball round the mean of the candidate's stresses s and s(v), with
+        the radius |s - s(v)| / 2, but for contact and the oscillation.
+        """
         loading, v, surfaces = self.candidate(dual, multipliers, u, self.load)
         of_u, of_v, defects = self.loading_of(u), self.loading_of(v), self.defects(surfaces, v)
         difference = loading - of_v
         self.shorten(difference, gain)
+        # squared norms of s - s(v), of the distance of s(u) from the mean, and of s(u) - s(v)
         stresses = difference, of_u - of_v - 0.5 * difference, of_u - of_v
         square, from_mean, moved = map(self.energies.squared_norms, stresses)
         eta = (np.sqrt(square) + self.oscillation) ** 2
-        # near the mean of both stresses is the centre of a ball that contains the exact stress
         offset = (np.sqrt(from_mean) + 0.5 * self.oscillation) ** 2
         terms = eta, offset, square, self.oscillation**2, moved, *defects.T
         *squares, complementarity, friction = reduce_array(self.comm, [t.sum() for t in terms])
@@ -232,11 +250,8 @@ class Bodies:
 class GuaranteedGoal:
     """A proven interval that contains the value of a goal in the exact solution.
 
-    It is of the goal's unit, and proven up to rounding. See `GuaranteedError` for what the exact
-    solution is.
-
     Attributes:
-        lower: the least possible value.
+        lower: the least possible value [unit of the goal], proven up to rounding.
         upper: the largest possible value.
         value: the value in the computed solution, usually inside.
     """
@@ -254,12 +269,14 @@ class Functional:
 
     Attributes:
         form: the linear form: J, or a(w, v); `derivative` is its vector.
-        w: the displacement that the form causes as a load, without contact; exact for a force.
+        w: the displacement that the form causes as a load, without contact. For a force it is
+            given, the unit displacement of the nodes of the pair; else it is computed roughly.
         constant: L(w) for a force, else zero.
+        load: the loading of J; zero for a force, which the stress of w balances.
     """
 
     def __init__(self, goal: Any, bodies: Bodies, dual: DualProgram) -> None:
-        """Check a goal. Collective."""
+        """Check a goal, and find its form, w and load. Collective."""
         bodies.cells.require(
             dual.admissible.has_given_bounds,
             "slip bounds that do not depend on the pressure if it is of a goal",
@@ -290,7 +307,6 @@ class Functional:
         self.derivative = assembled(self.form, bodies.V, linear.entity_maps)
         if not is_force:
             self.w = bodies.response(dual, self.derivative, rtol=0.1)
-        # as a load a force is balanced by the stress of w
         self._stress = bodies.loading_of(self.w) if is_force else 0.0
         L = None if is_force else self.form
         self.load, self._oscillation = loads(L, bodies.cells, bodies.factors, linear.entity_maps)
@@ -306,10 +322,8 @@ class Functional:
 
         For all t, t J(u*) - t J(v) <= |s - s(v)|^2 / 4 + G with s of the load L + t J, and v of
         L - t J: an upper limit if t > 0, else a lower one. With a small t the errors count much,
-        with a large one contact changes, and the defects G are large.
-
-        The collective function `candidate_at` returns the candidate of the load L + t J; if the
-        goal is a force, its `loading` balances L alone. For `gain` see `Bodies.shorten`.
+        with a large one contact changes, and the defects G are large. `candidate_at` returns the
+        candidate of L + t J; if the goal is a force, its `loading` balances L alone.
         """
         bodies, limits = self._bodies, []
         size = self._dual.norm_of(u) / self._dual.norm_of(self.w)

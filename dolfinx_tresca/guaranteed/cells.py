@@ -1,11 +1,9 @@
 """Simplices: polynomials, shapes, constants, stresses; the cells of a mesh that a rank owns.
 
-Vertices are in ascending order of their global numbers, so that two cells agree on the order of the
-vertices of their common facet. Facet j is opposite to vertex j.
-
-The *loading* of cells, (n, d + 1, d + 1, d), are for each j the tractions on facet j at its
-vertices, then the load in the cell at vertex j; both are linear. A stress is in equilibrium with
-its loading: the load is minus its divergence.
+Vertices are in ascending order of their global numbers, so that two cells agree on their order in a
+common facet. Facet j is opposite to vertex j. The *loading* of cells, (n, d + 1, d + 1, d), are for
+each j the tractions on facet j at its vertices, then the load in the cell at vertex j; both are
+linear. A stress is in equilibrium with its loading: the load is minus its divergence.
 """
 
 from __future__ import annotations
@@ -29,8 +27,7 @@ from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
 #: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function. Their proof is in docs/theory/guaranteed.md, and
-#: tests/guaranteed/test_constants.py computes them.
+#: nearest linear function: docs/theory/guaranteed.md, tests/guaranteed/test_constants.py.
 POINCARE = {2: 0.540, 3: 0.768}
 TRACE = {2: 1.522, 3: 4.473}
 
@@ -77,6 +74,7 @@ def lagrange(corners: int) -> tuple[Array, Array, Array]:
 @cache
 def symmetric(d: int) -> Array:
     """Return an orthonormal basis (d * d, d (d + 1) / 2) of symmetric matrices."""
+    # transposition has the eigenvalues -1, of antisymmetric matrices, and 1, in this order
     transposed = np.swapaxes(np.eye(d * d).reshape(d, d, -1), 0, 1).reshape(d * d, -1)
     return np.asarray(np.linalg.eigh(transposed)[1][:, d * (d - 1) // 2 :])
 
@@ -101,7 +99,6 @@ class Simplices:
 
     Attributes:
         points: (n, d + 1, d) the vertices [length].
-        d: the dimension.
         frames: (n, d, d) the matrices B of the maps x = x_0 + B X from the reference simplex.
         volumes: (n,) volumes, in 2D areas.
         gradients: (n, d + 1, d) gradients of the barycentric coordinates.
@@ -125,10 +122,9 @@ class Simplices:
         """Return forces (n, d + 1, d) at vertices with a loading's work on linear displacements."""
         volumes, areas = self.volumes[:, None, None], self.areas[:, :, None, None]
         forces = volumes * (mean_products(self.d + 1, 2) @ loading[:, :, self.d])
+        products = mean_products(self.d, 2)
         for j, vertices in enumerate(opposite(self.d)):
-            forces[:, vertices] += areas[:, j] * (
-                mean_products(self.d, 2) @ loading[:, j, : self.d]
-            )
+            forces[:, vertices] += areas[:, j] * (products @ loading[:, j, : self.d])
         return forces
 
     def load_factors(self) -> Array:
@@ -162,15 +158,13 @@ def _regular_frame(d: int) -> Array:
 
 @cache
 def stress_products(d: int) -> Array:
-    """Return products of stresses of the stress element on the regular simplex of edge length 1.
+    """Return matrices A_ij (k, k, m, m) that give the norms of stresses on the regular simplex.
 
-    Subcell i of Johnson and Mercier (1978) has the centroid in place of vertex i. Stresses are
-    symmetric, quadratic in each subcell, and have continuous tractions between subcells. For each
-    loading in equilibrium that of the least norm is taken, which is linear in the loading.
-
-    The result (k, k, m, m) has matrices A_ij: the squared norm with the compliance C_ij (k, k), in
-    terms of `symmetric`, is the sum of all C_ij A_ij times the volume. The m data are the entries
-    of the loading, with tractions S grad lambda_j of the stress S.
+    The squared norm with the compliance C_ij (k, k), in terms of `symmetric`, is the sum of C_ij
+    A_ij times the volume, in the m entries of a loading with tractions S grad lambda_j. The stress
+    is the one of least norm with this loading in the element of Johnson and Mercier (1978): it is
+    symmetric, quadratic in each subcell, and its tractions are continuous between subcells. Subcell
+    i has the centroid in place of vertex i.
     """
     n, (places, shapes, means) = d + 1, lagrange(d + 1)
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
@@ -184,12 +178,14 @@ def stress_products(d: int) -> Array:
     numbers = np.unique(points, axis=0, return_inverse=True)[1].reshape(n, -1)
     equations, right = [], []
     for i, vertices in enumerate(opposite(d)):
+        # on the facet of the simplex, the tractions of the loading
         on_facet = places[:, i] == 0.0
         equations.append(np.einsum("pklz,l->pkz", stress[i, on_facet], gradients[i]))
         right.append(np.tensordot(places[on_facet][:, vertices], loading[i, :d], axes=1))
+        # at the vertices of the subcell, the load is minus the divergence
         slopes = np.linalg.solve(corners[i].T, gradients)
         divergence = 2.0 * np.einsum("abp,pklz,bl->akz", shapes, stress[i], slopes, optimize=True)
-        equations.append(-divergence)  # at vertices a
+        equations.append(-divergence)
         right.append(np.tensordot(corners[i], loading[:, d], axes=1))
         for j in range(i):
             _, ours, theirs = np.intersect1d(numbers[i], numbers[j], return_indices=True)
@@ -246,7 +242,6 @@ class MeshCells(Simplices):
     """The cells that this rank owns, with vertices in ascending order of their global numbers.
 
     Attributes:
-        V: the space of the displacement.
         order: (n, d + 1) the local numbers of the vertices in DOLFINx.
         quadratics: the space of vectors that are quadratic in cells.
         dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.

@@ -20,16 +20,17 @@ from dolfinx_tresca.scene.friction import Bonded, Frictionless
 from dolfinx_tresca.scene.obstacle import RigidPlane
 from dolfinx_tresca.scene.pair import SideName
 
-#: Difference of unit normals, and of entries of the primary side's means from 1, that count as
-#: rounding.
+#: Difference of unit normals, and of the primary means' entries from 1, that count as rounding.
 FLATNESS = 1e-8
-
 #: Penetration relative to the largest displacement that counts as rounding.
 PENETRATION = 1e-10
 
 
 class ContactSurface:
     """The secondary surface of a pair, with tractions that are linear between nodes.
+
+    The *nodes* are all nodes of V on this rank, n secondary ones of them are *facing* the primary
+    side, and m facets of the rank touch it.
 
     Attributes:
         cell: (m,) the cells of the secondary facets.
@@ -40,7 +41,7 @@ class ContactSurface:
     def __init__(
         self, cells: MeshCells, dual: DualProgram, number: int, multipliers: Array, bounds: Array
     ) -> None:
-        """Interpolate multipliers (size,) of a pair between nodes. Collective.
+        """Interpolate multipliers (size,) of pair `number`, if the bound covers it. Collective.
 
         Slip bounds (nodes of all pairs,) [stress] are given.
         """
@@ -60,26 +61,26 @@ class ContactSurface:
         )
         alike = all(neighbour.friction == pair.friction for neighbour in group.pairs)
         alike &= bool((rows.operators.semi_axes == 1.0).all() and np.isfinite(bounds).all())
-        # as if nothing were prescribed: all nodes have jumps and distances. Displaced surfaces are
-        # paired without the warnings that the log has already
+        # paired as if nothing were prescribed, for jumps of all nodes; as displaced: no warnings
         nothing = np.zeros(V.dofmap.index_map_bs * V.dofmap.index_map.size_local, dtype=np.bool_)
-        undeformed = Undeformed.from_mesh(V, nothing, PairGroup.from_pairs([pair]))
+        undeformed = Undeformed(V, nothing, PairGroup([pair]))
         (every,) = pair_displaced_surfaces(V, undeformed, np.zeros(self._free.shape))
         nodewise = (np.diff(every.primary.indptr) == 1).all() and not pair.touches_itself
         nodewise &= (np.abs(every.primary.data - 1.0) < FLATNESS).all()
         cells.require(alike and (rigid or nodewise), needed)
-        self._facing = every.nodes  # the primary side, prescribed ones included
-        opposite_nodes = kron(every.primary, np.eye(d), format="csr")  # none of a plane
+        self._facing = every.nodes
+        # (facing nodes, nodes): the displacement of the opposite node; zero for a plane
+        opposite_nodes = kron(every.primary, np.eye(d), format="csr")
         self._opposite = as_petsc(V.dofmap.index_map, d, [opposite_nodes], comm)
         added_gap = 0.0 if pair.gap is None else pair.gap
         gaps = every.distance + NodalValues(V).values_at(added_gap, self._facing, "the gap")[:, 0]
         self._gaps = self._at_nodes(gaps[:, None])
-
+        # the facets, all of whose nodes face the other side, and their tractions
         touching = self._carried(np.ones_like(self._free, dtype=np.float64))[:, 0] != 0.0
         self.cell, self._facet, self._corners, outside = self._facets_of("secondary", touching)
         self._nodes = cells.facet_nodes[self.cell, self._facet]
         self._normal = unit(reduce_array(comm, every.normals.sum(axis=0)))
-        self._axes = np.eye(d) if self._bonded else self._normal[None]
+        self._axes = np.eye(d) if self._bonded else self._normal[None]  # of constrained jumps
         tractions = self._carried(self._nodal_tractions(dual, rows, multipliers, bounds))
         rim = f"multipliers at all nodes of pressed facets, unlike those at a rim of pair {pair}"
         cells.require(not tractions[outside].any(), rim)
@@ -94,7 +95,10 @@ class ContactSurface:
             self.sides.append((cell, facet, tractions[corners]))
 
     def _facets_of(self, side: SideName, touching: Mask) -> tuple[Indices, ...]:
-        """Return cells, numbers and vertices (m, d) of facets that touch; vertices of others."""
+        """Find a side's facets whose vertices are all `touching` (nodes,).
+
+        Return their cells (m,), numbers in cells (m,) and vertices (m, d); vertices of the others.
+        """
         tags, numbers = self._pair.given_tags(side)
         facets = np.concatenate([tags.find(number) for number in numbers])
         cell, facet = np.nonzero(np.isin(self._cells.facets, facets))
@@ -105,19 +109,23 @@ class ContactSurface:
     def _nodal_tractions(
         self, dual: DualProgram, rows: RowsOfPair, multipliers: Array, bounds: Array
     ) -> Array:
-        """Return admissible tractions (nodes, d), and set the data of the law. Collective.
+        """Return admissible tractions (nodes, d), and set `_bounds`, `_origins` and `_pressed`.
 
-        Nodes whose multipliers lack components have means of their neighbours.
+        These are the slip bounds (nodes,), slips of the origin of friction (nodes, d) and whether
+        nodes (nodes,) are pressed. Nodes that lack a row of N or T, since a component is
+        prescribed, have means of their neighbours. Collective.
         """
         V, pair, d = self._cells.V, rows.operators, self._cells.d
         stress = rows.nodal_vectors(multipliers * dual.jump.stress_scale)
         origin = rows.nodal_vectors((dual.offset - dual.jump.gap) * dual.jump.length_scale)
         components = 1 if isinstance(self._pair.friction, Frictionless) else d
         has_all = np.bincount(pair.row_node, minlength=len(pair.nodes)) == components
+        # for each node its pressure, bound, traction and origin, and 1 for the number of such rows
         columns = np.column_stack([stress[:, 0], bounds, -stress[:, 1:], origin[:, 1:], has_all])
         values = np.zeros((V.dofmap.index_map.size_local, columns.shape[1]))
         values[pair.nodes] = has_all[:, None] * columns
         table = self._cells.spread(values)
+        # other nodes have sums over the nodes of facets around; sums are divided by their numbers
         sums = np.repeat(table[self._corners].sum(axis=1, keepdims=True), d, axis=1)
         around = summed_at_nodes(V.dofmap.index_map, self._corners, sums)
         table = np.where(table[:, -1:] > 0.0, table, around)
@@ -134,20 +142,20 @@ class ContactSurface:
         return np.asarray(friction - pressure * self._normal)
 
     def _at_nodes(self, values: Array) -> Array:
-        """Return values (nodes, k) that are given (n, k) at `nodes`, zero elsewhere. Collective."""
+        """Return values (n, k) at facing nodes as values (nodes, k), else zero. Collective."""
         result = np.zeros((self._cells.V.dofmap.index_map.size_local, values.shape[1]))
         result[self._facing] = values
         return self._cells.spread(result)
 
     def _jumps(self, values: Array) -> Array:
-        """Return the jumps (nodes, d) of a displacement (nodes, d). Collective."""
+        """Return the jumps (nodes, d) of a displacement (nodes, d) at facing nodes. Collective."""
         unknowns, facing = self._opposite.createVecs()
         unknowns.array = values.ravel()[: unknowns.local_size]
         self._opposite.mult(unknowns, facing)
         return values - self._at_nodes(facing.array.reshape(-1, values.shape[1]))
 
     def _carried(self, values: Array) -> Array:
-        """Return values (nodes, d) of `nodes`, and opposite ones at partners. Collective."""
+        """Keep values (nodes, d) of facing nodes, reversed at their partners. Collective."""
         unknowns, facing = self._opposite.createVecs()
         facing.array = values[self._facing].ravel()
         self._opposite.multTranspose(facing, unknowns)
@@ -183,10 +191,11 @@ class ContactSurface:
         return np.asarray(steps @ self._axes)
 
     def defects(self, v: fem.Function) -> Array:
-        """Return by how much tractions and jumps miss the law of contact. Collective.
+        """Return what the work of tractions on v lacks of the law of contact, (m, 2). Collective.
 
-        The result (m, 2) has the integrals over facets of p (d - v_n), and upper bounds of those of
-        g |v_t - s| + t (v_t - s).
+        The columns are the integrals over facets of p (d - v_n) and upper bounds of those of
+        g |v_t - s| + t.(v_t - s), with the pressure p, gap d, slip bound g, friction t and its
+        origin s. Products of Bernstein's coefficients bound the latter: the norm is convex.
 
         Raises:
             InputError: v penetrates, or has jumps of bonded surfaces.

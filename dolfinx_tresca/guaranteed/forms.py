@@ -14,24 +14,23 @@ from dolfinx_tresca.stiffness.forms import has_stresses
 
 #: Forces that a constant stiffness does not explain, relative to it, that count as rounding.
 STIFFNESS_ROUNDING = 1e-9
-
 #: Difference of the cosine of two unit normals from 1 that counts as rounding.
 NORMAL_ROUNDING = 1e-8
 
-#: Quadrature of loads, and of their squared distances from their projections: exact for polynomials
-#: of degree up to 5. With the degree that UFL estimates, four fifths of the time of a bound were
-#: spent here for loads of sines and cosines.
+#: Quadrature of loads, and of squared distances from their projections: exact for polynomials up to
+#: degree 5. The degree that UFL estimates for sines would take four fifths of the time of a bound.
 QUADRATURE = {"quadrature_degree": 10}
 
 
 def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, ...]:
-    """Return elasticity tensors (n, d * d, d * d), their inverses, and least eigenvalues (n,).
+    """Return the elasticity tensors of a form a(w, v) in each cell. Collective.
 
-    Inverses are in terms of `symmetric`.
+    For each matrix G with a single entry 1, w = G x gives forces a(w, v) on quadratic displacements
+    v of each cell. The mean stresses of these forces, for symmetric G, are the tensor.
 
-    For each constant gradient of w, a(w, v) gives forces on quadratic displacements v of each cell.
-    Their symmetric mean stresses for symmetric gradients make the tensor, which must explain the
-    forces. Collective.
+    Returns:
+        the tensors (n, d * d, d * d), their inverses (n, k, k) in terms of `symmetric`, and their
+        least eigenvalues (n,).
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     test, trial = a.arguments()
@@ -42,19 +41,22 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     for gradient in np.eye(d * d).reshape(-1, d, d):
         slope.value = gradient
         results.append(fem.assemble_vector(work).array.reshape(-1, d)[cells.dofs])
-    forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]  # (n, d * d, k, d)
-
+    # forces (n, d * d, k, d) on the nodes of a cell for each G, divided by the cell's volume
+    forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]
     # a mean stress is the work on linear functions
     places, basis, _ = lagrange(corners)
     nodes = places @ (cells.points - cells.points[:, :1])
     stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
     moduli = symmetric(d).T @ stresses.reshape(n, d * d, d * d) @ symmetric(d)
     stiffness = symmetric(d) @ moduli @ symmetric(d).T
+    least = np.linalg.eigvalsh(moduli)[:, 0]
+    # A constant stress exerts on a node itself times the mean slope of the node's function, and
+    # grad (lambda_i lambda_j) has the mean (grad lambda_i + grad lambda_j) / corners. No other
+    # forces may remain: those of antisymmetric G would give rotations an energy.
     mean_slopes = 2.0 / corners * basis.sum(axis=0).T @ cells.gradients
     of_mean_stress = mean_slopes[:, None] @ stiffness.reshape(stresses.shape)
     difference = np.abs(forces - of_mean_stress).max(axis=(1, 2, 3), initial=0.0)
     rounding = STIFFNESS_ROUNDING * np.trace(moduli, axis1=1, axis2=2) / cells.heights.min(axis=1)
-    least = np.linalg.eigvalsh(moduli)[:, 0]
     kinds = {integral.integral_type() for integral in a.integrals()}
     cells.require(
         kinds == {"cell"} and (difference <= rounding).all() and (least > 0.0).all(),
@@ -69,7 +71,7 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
 def loads(
     L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps | None
 ) -> tuple[Array, Array]:
-    """Return the linear projections of the loads of a form, and their distances. Collective.
+    """Return the loads of a form, projected onto linear functions, and what they lack. Collective.
 
     `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
     relative to the energy norm: in the cell, and on each facet.
@@ -90,12 +92,12 @@ def loads(
         f"has integrals of the kinds {sorted(kinds)}, or depends on the gradient of the "
         "displacement, as an initial stress does",
     )
+    # the projection in a cell has unknowns of this space; on a facet those at its vertices
     linears = fem.functionspace(mesh, ("DG", 1, (d,)))
     test, weight = map(ufl.TestFunction, (linears, fem.functionspace(mesh, ("DG", 0))))
     projection = fem.Function(linears)
     dofs = linears.dofmap.list[np.arange(n)[:, None], cells.order]
-    # a form integrates over all facets of a cell. For the integral over one facet of each cell,
-    # `normal` is the normal of this facet, and the integrand is zero where normals differ
+    # for integrals over one facet of each cell: integrands are zero where its `normal` differs
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
     on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)
@@ -103,18 +105,18 @@ def loads(
     for integral in L.integrals():
         axes = (ufl.replace(integral.integrand(), {argument: ufl.as_vector(e)}) for e in np.eye(d))
         load = ufl.as_vector(list(axes))
-        difference, on_part, numbers = load - projection, 1.0, range(1)
+        difference, on_domain, domains = load - projection, 1.0, range(1)  # 0 is the cell
         if integral.integral_type() != "cell":
-            on_part, numbers = on_facet, range(1, corners + 1)
+            on_domain, domains = on_facet, range(1, corners + 1)
         moments, squares = (
             fem.form(
-                ufl.Form([integral.reconstruct(on_part * values, metadata=QUADRATURE)]),
+                ufl.Form([integral.reconstruct(on_domain * values, metadata=QUADRATURE)]),
                 entity_maps=maps,
             )
             for values in (ufl.inner(load, test), ufl.inner(difference, difference) * weight)
         )
-        for number in numbers:
-            dof = dofs[:, np.arange(corners) != number - 1]
+        for number in domains:
+            dof = dofs[:, np.arange(corners) != number - 1]  # without the opposite vertex
             normal.x.array.reshape(-1, d)[:n] = cells.normals[:, number - 1]
             work = fem.assemble_vector(moments).array.reshape(-1, d)[dof]
             work /= sizes[:, number, None, None]

@@ -20,9 +20,9 @@ class Stars:
     """The stars of vertices: for each vertex the cells around it.
 
     A star balances the forces that are missing at its vertex, cell by cell in force and moment, by
-    the least tractions on the facets at the vertex (docs/theory/guaranteed.md). The energy of
-    `_roots` times numbers (facets, d * d, 1) is the numbers' squared length, and `_work` times them
-    is the work on the rigid motions about each vertex of each cell.
+    the least tractions on the facets at the vertex (docs/theory/guaranteed.md). Tractions are those
+    of `_roots` times numbers x (facets, d * d, 1), so that their energy is |x|^2; `_work` times x
+    is their work on the rigid motions about each vertex of each cell.
 
     Tractions are on this rank's facets, ghosts included; loadings are of the cells it owns. The
     rank that owns a vertex solves the equations of its star.
@@ -36,12 +36,12 @@ class Stars:
         """
         d, comm, topology = cells.d, cells.V.mesh.comm, cells.V.mesh.topology
         self._cells, (n, corners) = cells, cells.facets.shape
+        # the energies of both sides have the inverse R R', with the roots R
         sums = cells.facet_sums(stiffness)
         unknown = np.tile(cells.facet_sums(free[:, :, None].astype(np.float64)) > 0.0, d)
         both = np.swapaxes(unknown, 1, 2) & unknown
         self._roots = both * np.linalg.cholesky(np.linalg.inv(np.where(both, sums, np.eye(d * d))))
-
-        # the facets at vertex k are opposite to the vertices near[k]
+        # the work of tractions on rigid motions; the facets at vertex k are opposite to near[k]
         near = opposite(d)
         arms = cells.points[:, near[near]] - cells.points[:, :, None, None]
         # the means of two hat functions' products are 1 / d / (d + 1), twice this for equal ones
@@ -50,8 +50,8 @@ class Stars:
         facets, size = cells.facets[:, near], work.shape[3]
         work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
         self._work = _block_rows(work, facets, len(sums)).tocsr()
-
-        # each star has its own tractions: numbers of facets, and of its vertex among theirs
+        # Each cell sends its rows for a vertex to the owner of the vertex. Each star has its own
+        # tractions, in columns by the number of the facet, and of the vertex among its vertices
         place = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
         index_map = topology.index_map(d - 1)
         columns = index_map.local_to_global(facets.ravel()).reshape(facets.shape) * d + place
@@ -59,6 +59,7 @@ class Stars:
         self._owner = np.searchsorted(firsts, cells.vertices.ravel(), side="right") - 1
         columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
         work, _ = exchange(comm, work.reshape(n * corners, d * size * d * d), self._owner)
+        # the equations W W' of all stars of this rank: least tractions are W' times their solution
         with errors_on_all_ranks(comm):
             columns = np.unique(columns.ravel(), return_inverse=True)[1]
             rows = _block_rows(work.reshape(-1, d, size, d * d), columns, columns.size)
@@ -73,10 +74,10 @@ class Stars:
         self._factors = matrix
 
     def _balancing(self, missing: Array) -> Array:
-        """Return the least tractions (facets, d * d, 1) of all stars in terms of `_roots`.
+        """Return the sum of the least tractions of all stars, as factors (facets, d * d, 1).
 
-        They have the forces and moments `missing` (n, d + 1, r) at the vertices of cells, and are
-        W'(W W')^-1 `missing` with the `_work` W of all stars. Collective.
+        The tractions of a star have the forces and moments `missing` (n, d + 1, r) at its vertex of
+        each cell: their factors of `_roots` are W'(W W')^-1 `missing`. Collective.
         """
         comm, owner = self._cells.V.mesh.comm, self._owner
         right, _ = exchange(comm, missing.reshape(len(owner), missing.shape[2]), owner)
@@ -117,7 +118,7 @@ class Stars:
 
 
 def _block_rows(blocks: Array, columns: Indices, width: int) -> bsr_array:
-    """Return a sparse matrix with blocks (..., k, ., .), k a row, in given of `width` columns."""
+    """Return a sparse matrix of blocks (..., k, r, c), k in a block row, in `columns` (..., k)."""
     count, rows, size = blocks.shape[-3:]
     starts = np.arange(0, columns.size + 1, count, dtype=np.int32)
     entries = blocks.reshape(-1, rows, size), columns.ravel().astype(np.int32), starts

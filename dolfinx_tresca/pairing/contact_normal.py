@@ -2,13 +2,11 @@
 
 Where two smooth surfaces touch, their normals are opposed, and either one is the contact normal.
 Facets approximate surfaces, so the normals of both sides differ by angles of the size by which the
-normals turn from facet to facet. The first variation of the gap between two surfaces is the jump
-of the displacement along the normal of the side whose normal is better known: at a kink, on a
-chamfer, next to a sharp edge or at the rim of a surface, this is the partner's; where a small
-roller lies on a strip, it is the strip's. So the contact normal is the mean of the own normal and
-of the reversed normal of the partner, each weighted by the inverse square of the angle by which the
-side's normal turns over the facet there. The rule is symmetric: if the sides are exchanged, the
-contact normal is reversed.
+normals turn from facet to facet. The first variation of the gap is the jump of the displacement
+along the normal of the side whose normal is better known: at a kink, on a chamfer, next to a sharp
+edge or at a rim, this is the partner's. So the contact normal is the mean of the own normal and of
+the reversed normal of the partner, each weighted by the inverse square of the angle by which the
+side's normal turns over the facet there. If the sides are exchanged, it is reversed.
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
 vector between the surfaces, projected onto this direction, so that the rows of N are its variation.
@@ -24,33 +22,28 @@ import basix
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, unit
 from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
 
-#: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points of
-#: the surfaces are paired (29 degrees): flat facets farther from being parallel touch at their ends
-#: only. With twice this angle a chamfer of 45 degrees is paired with the wall that it recedes from;
-#: with half of it, wedges lose their partners after small rotations.
+#: Angle between opposed normals [rad], beyond the angles by which both turn, up to which points are
+#: paired: flat facets farther from being parallel touch at their ends only. With twice this angle a
+#: chamfer of 45 degrees is paired with its wall; with half, wedges lose partners as they rotate.
 OPPOSED_ANGLE = 0.5
-
 #: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
 CANCELLED = 0.1
 
 #: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
-#: the surface counts as curved over the side. The height falls to zero where both are equal: at a
-#: kink between flat facets. (With half of this, heights on irregular meshes would change.)
+#: the surface counts as curved over the side. Towards 1, at a kink between flat facets, the height
+#: falls to zero. (With half of this, heights on irregular meshes would change.)
 UNEVEN = 0.5
-
 #: Angle by which normals turn over a facet next to a kink [rad] up to which the mean normals at the
 #: kink are kept; from twice this angle on, the facet's own normal takes their place. (With
 #: zero, the friction of a block on a plank that it dents varies by 1 % as nodes pass.)
 KINK_ANGLE = 0.1
-
 #: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
-#: rounding does not decide between two flat sides. (With twice this angle, sides that turn by 0.1
-#: degrees would count as flat, too; the normals of both sides are then equal to this accuracy.)
+#: rounding does not decide between two flat sides, whose normals are equal to this accuracy.
 FLAT_ANGLE = 1e-3
 
-#: Weights of the Tikhonov regularisation of the quadratic fit, relative to the weight of a
-#: neighbour's height: of the two slopes, of the mean curvature and of two differences of
-#: curvatures. With few neighbours the fit stays close to a sphere with the mean normal.
+#: Weights of the Tikhonov regularisation of the quadratic fit, relative to a neighbour's height: of
+#: the two slopes, of the mean curvature and of two differences of curvatures. With few neighbours
+#: the fit stays close to a sphere with the mean normal.
 TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 
@@ -73,55 +66,44 @@ class SmoothSurface:
     point of a straight facet the mean of the heights of the tangent planes, weighted with the hat
     functions h_c, is twice the height (sagitta) of a parabolic surface. So this height is the sum
     over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2: correct to second order in the
-    size of the facet, and zero for a flat surface. On a parabolic surface (n_c + n_d).(x_d - x_c)
-    is zero. Next to a kink between flat facets, where the normal leans at one corner only, it is as
-    large as the difference: there the height is zero, and beyond `KINK_ANGLE` the surface is the
-    facet itself, with its normal. At the ends of a curve in 2D, where the nodal normal is a mean
-    over one side, the normal is turned until the sum is zero.
-
+    size of the facet. On a parabolic surface (n_c + n_d).(x_d - x_c) is zero; next to a kink
+    between flat facets, where the normal leans at one corner only, it is as large as the
+    difference: there the height is zero, and beyond `KINK_ANGLE` the surface is the facet itself.
     Facets with curved edges (degree 2) have no height, and normals of their own.
 
     Attributes:
-        facets: the facets.
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
-            between the normal of the facet and the normals at its corners. On a circle this is the
-            angle that the facet spans; next to a kink it is zero.
+            between its normal and those at its corners; next to a kink it is zero.
         is_flat: whether no facet of this rank has a height, and no normal turns.
-        across: (n, k, 3) outward unit normals of the other smooth patches at the corners of each
-            facet, which are behind sharp edges; zero rows stand for missing ones. At the ends of a
-            curve (2D) the body is taken to go on at right angles, as at the corner of a box.
-        turns_to_ends: (n,) the `turns`, but next to a kink those of the mean normals there, and at
-            least a right angle where the smooth surface ends [rad]: normals are less accurate at
-            both, and the partner's decide. The surface ends at sharp edges and at rims, in 3D only
-            if it is curved there.
+        across: (n, k, 3) outward unit normals of the smooth patches behind the sharp edges at each
+            facet (`_normals_across_edges`). At the ends of a curve (2D) the body is taken to go on
+            at right angles, as at the corner of a box.
+        turns_to_ends: (n,) the `turns` [rad], but larger where normals are less accurate, so that
+            the partner's decide: next to a kink those of the mean normals there, and at the ends of
+            the smooth surface at least a right angle.
         corner_normals: (n, corners, 3) outward unit normals of the surface at corners of facets.
     """
 
     def __init__(self, nodes: SurfaceNodes) -> None:
         """Fit the surface; valid for facets with two rings on this rank. Not collective."""
-        facets, corner_nodes, rim = nodes.facets, nodes.facet_nodes, _rim_nodes(nodes)
+        facets, rim = nodes.facets, _rim_nodes(nodes)
+        at_rim = rim[nodes.facet_nodes]
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
-        self._first, self._second = np.triu_indices(facets.corners, 1)
-        self.corner_normals = fitted_normals(nodes)[corner_nodes]
+        self._first, self._second = np.triu_indices(facets.corners, 1)  # corners of each pair
+        # the normals and heights of the fitted surface
+        self.corner_normals = fitted_normals(nodes)[nodes.facet_nodes]
         smooth = self._smoothness(nodes, rim)
         if facets.dim == 1:
-            self._turn_end_normals(rim[corner_nodes], smooth)
+            self._turn_end_normals(at_rim, smooth)
         cosines = dots(self.corner_normals, self._facet_normals[:, None])
-        start, end = self._slopes()
-        turns_at_kinks = turned_angles(cosines)
-        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
-        # both is right to fourth order in the angle.
-        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
-        heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        rounding = (MESH_ROUNDING + facets.rounding) * np.ptp(self._corners, axis=1).max(axis=1)
-        has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
-        # (n, pairs) factors of products of two hat functions in heights [length]
-        self._height_factors = heights * (has_height and not facets.bent)
+        self._height_factors = self._heights_of_pairs(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
+        turns_at_kinks = turned_angles(cosines)
         kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
         leaning = self._facet_normals[:, None] - self.corner_normals
         self.corner_normals += kinked[:, None, None] * leaning
+        # where the geometry is known, its normals take the place of all others
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
@@ -131,19 +113,35 @@ class SmoothSurface:
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         turns_at_kinks[self._exact] = self.turns[self._exact]
+        self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
+        # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim: a
+        # slab of one layer of cells has no other facets. Facets whose geometry is known have none
         self.across = _normals_across_edges(nodes)
         at_edge = self.across.any(axis=(1, 2))
         if facets.dim == 1:
             ahead = self._corners - self._corners[:, ::-1]
-            ahead *= (rim[corner_nodes] / np.linalg.norm(ahead, axis=2))[:, :, None]
+            ahead *= (at_rim / np.linalg.norm(ahead, axis=2))[:, :, None]
             self.across = np.concatenate([self.across, ahead], axis=1)
-        # in 3D flat slabs of one layer of cells have no facets but at the rim
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
-        # facets whose geometry is known go on at rims
-        at_end = rim[corner_nodes].any(axis=1) & ~flat & ~self._exact
+        at_end = at_edge | at_rim.any(axis=1) & ~flat & ~self._exact
         to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
-        self.turns_to_ends = np.where(at_edge | at_end, to_ends, turns_at_kinks)
-        self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
+        self.turns_to_ends = np.where(at_end, to_ends, turns_at_kinks)
+
+    def _heights_of_pairs(self, smooth: Array, cosines: Array) -> Array:
+        """Return the factors (n, pairs) of h_c h_d in the height of the fitted surface [length].
+
+        They are zero next to kinks, where facets are not `smooth` (n,), and on all facets if none
+        has a height beyond rounding. `cosines` (n, corners) are between nodal and facets' normals.
+        """
+        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
+        # both is right to fourth order in the angle.
+        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        start, end = self._slopes()
+        heights = 0.5 * (end - start) / stretch * smooth[:, None]
+        facets, sizes = self.facets, np.ptp(self._corners, axis=1).max(axis=1)
+        rounding = (MESH_ROUNDING + facets.rounding) * sizes
+        has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
+        return np.asarray(heights * (has_height and not facets.bent))
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
@@ -154,31 +152,32 @@ class SmoothSurface:
     def _smoothness(self, nodes: SurfaceNodes, rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
-        Nodal normals at the rim (nodes,) are less accurate, so a facet there is as smooth as those
-        that surround its other corners. If there are none, the facets of a curve count as kinked.
-        On a surface (3D), such as a strip one facet wide, the least smooth facet around counts.
+        Nodal normals at the rim (nodes,) are less accurate. So a facet there is as smooth as the
+        least smooth facet around its other corners that is not at the rim itself. If there is none,
+        the facets of a curve (2D) count as kinked; on a surface, such as a strip one facet wide,
+        the least smooth of all facets around counts.
         """
         # slopes at both ends of a side: opposite on a parabola, equal at a kink
         start, end = self._slopes()
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
         unevenness = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
-        result = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
+        own = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
         corner_nodes = nodes.facet_nodes
         at_rim = rim[corner_nodes]
         inner = ~at_rim.any(axis=1)
-        of_inner = nodes.reduced(np.minimum, result[inner, None], np.inf, inner)[corner_nodes]
+        of_inner = nodes.reduced(np.minimum, own[inner, None], np.inf, inner)[corner_nodes]
         around = np.where(at_rim, np.inf, of_inner).min(axis=1, initial=np.inf)
-        of_all = nodes.reduced(np.minimum, result[:, None], np.inf)[corner_nodes].min(axis=1)
+        of_all = nodes.reduced(np.minimum, own[:, None], np.inf)[corner_nodes].min(axis=1)
         without_inner = 0.0 if self.facets.dim == 1 else of_all
-        return np.where(inner, result, np.where(np.isinf(around), without_inner, around))
+        return np.where(inner, own, np.where(np.isinf(around), without_inner, around))
 
     def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
         """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
 
         With the end c and the other corner d of its facet (n_c + n_d).(x_d - x_c) becomes zero, as
-        far as the curve is `smooth` (n,) at d. In 3D a node at the rim has neighbours enough for
-        its fitted normal. `at_rim` (n, 2) tells which corners are ends.
+        far as the curve is `smooth` (n,) there; `at_rim` (n, 2) tells which corners are ends. In 3D
+        a node at the rim has neighbours enough for its fitted normal.
         """
         for c, d in ((0, 1), (1, 0)):
             ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
@@ -200,10 +199,10 @@ class SmoothSurface:
         return dots(hats[:, self._first] * hats[:, self._second], self._height_factors[facet])
 
     def offsets_and_normals(self, facet: Indices, x: Array) -> tuple[Array, Array]:
-        """Return vectors (n, 3) from points x (n, dim) of facets to the surface, and its normals.
+        """Return vectors [length] from facets (n,) to the surface, and its unit normals, (n, 3).
 
-        This is the exact surface where it is known, else the fitted one; bent facets are their own
-        surface.
+        Each is at a reference point x (n, dim). The surface is the exact one if it is known, else
+        the fitted one; bent facets are their own surface.
         """
         facets = self.facets
         hats = facets.hats(x)
@@ -229,9 +228,10 @@ class SmoothSurface:
     ) -> Mask:
         """Return whether this surface and a partner may touch at opposite points (n,).
 
-        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`), and beside a
-        sharp edge if the partner is opposed to the edge, whose normals are all between those of its
-        patches. But where it is opposed to a patch across the edge, the contact is on that patch.
+        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`). A sharp edge
+        has all normals between those of its patches: beside an edge of either side, points may also
+        touch if the normal of the opposite point is opposed to the edge, but not if it is opposed
+        to the patch across the edge, since the contact is on that patch.
         """
         turned = self.turns[facet] + partner.turns[partner_facet]
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
@@ -242,25 +242,30 @@ class SmoothSurface:
             (partner_normals, normals, partner.across[partner_facet]),
         ):
             opposed = -dots(across, facing[:, None])
+            # the reversed normal of the opposite point leans towards the patch across the edge
             at_edge |= (opposed > cosine[:, None] * dots(across, own[:, None])).any(axis=1)
             across_edge |= (opposed >= least[:, None]).any(axis=1)
         return np.asarray((cosine >= least) | at_edge & ~across_edge)
 
 
 def _normals_across_edges(nodes: SurfaceNodes) -> Array:
-    """Return the normals (n, k, 3) of the other patches at sharp corners of facets; else zero."""
-    corners, number = nodes.facet_nodes, nodes.numbers[nodes.facet_nodes]
-    ends = np.searchsorted(nodes.numbers, number, side="right")
-    patches = ends - np.searchsorted(nodes.numbers, number)
-    place = np.arange(1, 1 + patches.max(initial=1))
-    entry = ends[:, :, None] - np.minimum(place, patches[:, :, None])
-    normals = nodes.normals[entry] * (entry != corners[:, :, None])[:, :, :, None]
-    result = normals.reshape(len(corners), np.prod(entry.shape[1:], dtype=int), 3)
+    """Return the normals (n, k, 3) of the other smooth patches at the corners of each facet.
+
+    The number k of rows is that of the facet with the most; rows are zero or repeated elsewhere.
+    """
+    own = nodes.facet_nodes
+    # the entries of a node, one for each patch, follow each other in `nodes`
+    start, end = (np.searchsorted(nodes.numbers, nodes.numbers[own], s) for s in ("left", "right"))
+    most = (end - start).max(initial=1)
+    entry = np.minimum(start[:, :, None] + np.arange(most), end[:, :, None] - 1)
+    normals = nodes.normals[entry]  # (n, corners, most, 3)
+    normals[entry == own[:, :, None]] = 0.0
+    result = normals.reshape(len(own), most * own.shape[1], 3)
     return np.asarray(result[:, result.any(axis=(0, 2))])
 
 
 def turned_angles(cosines: Array) -> Array:
-    """Return the angles (n,) by which normals turn [rad], by cosines (n, corners) to the mean."""
+    """Return twice the largest angle (n,) [rad] of those with cosines (n, corners)."""
     least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
     return np.asarray(2.0 * np.arccos(least))
 
@@ -277,18 +282,19 @@ def _rim_nodes(nodes: SurfaceNodes) -> Mask:
 def fitted_normals(nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
-    On a cylinder with facets of different shapes, the error of the mean of the facets' normals is a
-    fixed part of the angle between facets. A least-squares fit has no such error (Cazals and Pouget
-    2005, Estimating differential quantities using polynomial fitting of osculating jets). With too
-    few neighbours the mean is kept. Valid at nodes whose facets are all on this rank.
+    The mean of the facets' normals has an error that is a fixed part of the angle between facets; a
+    least-squares fit has none (Cazals and Pouget 2005, Estimating differential quantities using
+    polynomial fitting of osculating jets). With too few neighbours the mean is kept. Valid at nodes
+    whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
-    # all pairs of two corners of a facet; the fit is in units of the distance of neighbours
+    # all pairs of two corners of a facet: a neighbour counts once for each facet that has both
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
     neighbour = np.tile(nodes.facet_nodes, corners).ravel()
     node, neighbour = node[node != neighbour], neighbour[node != neighbour]
     x_axis, y_axis = tangents(nodes.normals).swapaxes(0, 1)
     offset = nodes.points[neighbour] - nodes.points[node]
+    # the fit is in units of the distance of neighbours, along tangents and the mean normal
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
     spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
     offset = offset / spacing[node][:, None]

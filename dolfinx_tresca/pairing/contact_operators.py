@@ -1,16 +1,9 @@
 """The discrete contact operators of a pair, for other solvers and other physics.
 
 Fields and loads are transferred between the sides by P, the primary part of N and T: the projection
-by the dual basis psi, (P f)_i = (integral of psi_i f) / (integral of psi_i), whose rows sum to 1:
-
-- *Values* (temperatures, displacements) are transferred from the primary to the secondary side
-  by P, which is exact for constants and linear functions.
-- *Loads* (nodal forces, nodal heat flows) are transferred from the secondary to the primary
-  side by P', which conserves their sum.
-
-Densities (pressures, fluxes) are loads divided by areas. With the covered areas w of secondary
-nodes, the covered areas of primary nodes are P'w, and a density f becomes P'(w f) / P'w. This is
-exact for constants and conserves the sum of densities times areas.
+by the dual basis psi, (P f)_i = (integral of psi_i f) / (integral of psi_i), whose rows sum to 1.
+P transfers values from the primary to the secondary side, and P' loads in the opposite direction. A
+density f is a load w f divided by the covered areas, w and P'w: it becomes P'(w f) / P'w.
 """
 
 from __future__ import annotations
@@ -50,41 +43,22 @@ def _space(operators: ContactOperators) -> dict[str, Any]:
 class ContactOperators:
     """The jump operators N and T of one pair, with weights, normals, gap and tangents.
 
-    The rows of N and T are distributed among the ranks like the contact nodes, the columns like
-    those of K. K and f are the stiffness matrix and the load of the problem, w the areas of the
-    rows' nodes, p the pressure, t the tangential traction and g the slip bound. The solution
+    N and T are PETSc matrices of the jump of the displacement, secondary minus primary; making them
+    is collective. Ranks have their rows like the contact nodes, their columns like those of K, also
+    prescribed ones. K and f are the stiffness matrix and the load of the problem, w the areas of
+    the rows' nodes, p the pressure, t the tangential traction and g the slip bound. The solution
     satisfies K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap and
     p (gap - N u) = 0; and at each node |t| <= g and T u = c t with a factor c >= 0, which is 0 if
-    |t| < g.
-
-    N and T are PETSc matrices, which petsc4py frees when nobody refers to them.
+    |t| < g. The how-to on embedding solves such a problem by non-negative least squares.
 
     Attributes:
         nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
-        weights: (n,) covered areas of the contact nodes [length^2, in 2D length]: the part of a
-            node's area that faces the primary side.
+        weights: (n,) parts of the nodes' areas that face the primary side [length^2, in 2D length].
         normals: (n, d) outward unit normals of the secondary side.
         gap: (rows of N,) initial gap of the undeformed bodies [length], positive if open.
         normal_node: (rows of N,) index in `nodes` of each row of N.
         tangents: (rows of T, d) unit vectors: each row of T is the jump along its vector.
-        tangent_node: (rows of T,) index in `nodes` of each row of T; nodes have up to two rows in
-            3D.
-
-    Example:
-        The cube in the example of `ContactProblem`, on one rank. Non-negative least squares
-        find the forces F >= 0 that minimise 1/2 F'A F - F'b, where A = N K^-1 N' = C C' and
-        b = N K^-1 f - gap.
-
-        >>> from scipy.optimize import nnls
-        >>> from scipy.sparse import csr_array
-        >>> from scipy.sparse.linalg import splu
-        >>> one = problem.operators[0]
-        >>> K, N = (csr_array(M.getValuesCSR()[::-1], M.size) for M in (problem.stiffness, one.N))
-        >>> displaced = splu(K.tocsc()).solve(N.T.toarray())
-        >>> C = np.linalg.cholesky(N @ displaced)
-        >>> F, _ = nnls(C.T, np.linalg.solve(C, displaced.T @ problem.load.array - one.gap))
-        >>> f"{F.sum():.2f} N, {(F / one.weights[one.normal_node]).max():.2f} MPa"
-        '1.00 N, 1.00 MPa'
+        tangent_node: (rows of T,) index in `nodes` of each row of T, up to two for a node in 3D.
     """
 
     def __init__(
@@ -96,8 +70,7 @@ class ContactOperators:
     ) -> None:
         """Wrap the operators of a pair; matrices are created on first use. Not collective.
 
-        `columns` converts a matrix from the columns of V to those of K, which differ if V is a
-        component of a mixed space.
+        `columns` converts a matrix from the columns of V to those of K, for mixed spaces.
         """
         self._V, self._pair, self._surfaces, self._columns = V, pair, surfaces, columns
         self.comm = V.mesh.comm
@@ -111,19 +84,12 @@ class ContactOperators:
 
     @cached_property
     def N(self) -> PETSc.Mat:
-        """Matrix of normal jumps N u [length], secondary minus primary, positive if closing.
-
-        One row for each normal multiplier, see `normal_node`. Columns of prescribed degrees of
-        freedom are not zeroed. Collective.
-        """
+        """Matrix of normal jumps N u [length], positive if closing. Collective."""
         return self._matrix(self._pair.N)
 
     @cached_property
     def T(self) -> PETSc.Mat:
-        """Matrix of tangential jumps T u [length], secondary minus primary, along `tangents`.
-
-        Without friction the matrix has no rows. Collective.
-        """
+        """Matrix of tangential jumps T u [length]; no rows without friction. Collective."""
         return self._matrix(self._pair.T)
 
     def _matrix(self, rows: Any) -> PETSc.Mat:
@@ -139,8 +105,8 @@ class ContactOperators:
     def areas(self) -> fem.Function:
         """Return the covered areas of the nodes of both sides as a Function. Collective.
 
-        The areas are `weights` on the secondary side, and their transfer on the primary side, with
-        the same sum. The Function is a scalar of degree 1 on the mesh of the displacement.
+        It is a scalar of degree 1 on the mesh of the displacement: `weights` on the secondary side,
+        and their transfer on the primary side, with the same sum.
         """
         Q = fem.functionspace(self._V.mesh, ("Lagrange", 1))
         weights = self._pair.weights[:, None]
@@ -151,18 +117,16 @@ class ContactOperators:
     def area_fraction(self) -> fem.Function:
         """Return the covered fraction of each node's area as a Function. Collective.
 
-        The Function is a scalar [1] of degree 1 on the mesh of the displacement, with values at the
-        nodes of both sides: `areas` divided by the integral of the node's hat function over all
-        facets of the pair. The fraction is 1 if all facets at a node face the other side, whether
-        they touch it or not, and less at the rim of the overlap. It is 0 off the surfaces, and at
-        secondary nodes beyond the rim, which carry no multiplier: the neighbours of these nodes
-        take over their areas, and may have fractions above 1. After `update_geometry` the fraction
-        also contains the factor by which the displacement has stretched the facets.
+        The Function is a scalar [1] like `areas`, whose values are divided by the integral of the
+        node's hat function over all facets of the pair. The fraction is 1 if all facets at a node
+        face the other side, whether they touch it or not, and less at the rim of the overlap. It is
+        0 at secondary nodes beyond the rim, which carry no multiplier: the neighbours of these
+        nodes take over their areas, and may have fractions above 1. After `update_geometry` the
+        fraction also contains the stretch of the facets.
 
         Multiply nodal values by this fraction to integrate them in forms: the integral over the
-        facets of either side is then the sum of the values times `areas`. For
-        `solution.on_mesh("pressure")` this integral is the contact force, whether the meshes match
-        or not.
+        facets of either side is then the sum of the values times `areas`, for
+        `solution.on_mesh("pressure")` the contact force, whether the meshes match or not.
         """
         areas, tags = self.areas(), self._surfaces.facet_tags
         Q, sides = areas.function_space, (self._surfaces.secondary, self._surfaces.primary)
@@ -192,8 +156,7 @@ class ContactOperators:
         integral over the primary facets only if the secondary side covers all of them.
 
         Args:
-            function: a scalar or vector of Lagrange elements of degree 1 on the mesh of the
-                displacement. Interpolate or project other fields into such a space.
+            function: a scalar or vector of Lagrange elements of degree 1 on the problem's mesh.
             to: the side that receives the values.
 
         Raises:
@@ -212,15 +175,14 @@ class ContactOperators:
     def transfer_loads(self, function: fem.Function) -> fem.Function:
         """Transfer nodal loads from the secondary to the primary side. Collective.
 
-        The transfer is the transpose of the mortar projection; it conserves the sum of the loads up
-        to rounding. For example, a flux through the contact [per area] times `areas()` is the load
-        that secondary nodes lose, and its transfer is the load that primary nodes gain.
+        The sum of the loads is conserved. For example, a flux through the contact [per area] times
+        `areas()` is the load that secondary nodes lose, and its transfer what primary nodes gain.
 
         Args:
             function: nodal loads, a scalar or vector of Lagrange elements of degree 1.
 
         Raises:
-            InputError: `function` is not such a Function.
+            InputError: `function` is no such Function.
         """
         Q, values = self._nodal_values(function)
         loads = self._multiplied(Q, values[self._nodes_in(Q)], transposed=True)
@@ -232,18 +194,17 @@ class ContactOperators:
 
         Here T is not the jump operator, but a scalar field of degree 1, such as a temperature. T_s
         and T_p are its means over both sides in N and T: inside the contact T_s are its values at
-        secondary nodes, T_p its `transfer` from the primary side; T_p = 0 for a rigid obstacle. Row
-        i of C T is the flow out of node i. C is symmetric and positive semidefinite. Between two
-        bodies its rows sum to zero, and the flow out of one side equals the flow into the other
-        side, up to rounding.
+        secondary nodes, T_p its `transfer` from the primary side; T_p = 0 for a rigid obstacle.
+        C T is the flow out of each node. C is symmetric and positive semidefinite; between two
+        bodies its rows sum to zero: the flow out of one side is the flow into the other side.
 
-        The caller owns the matrix and may destroy it. Add it to the matrix of a form of T: `K + C`,
-        or `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact
+        The caller owns the matrix. Add it to the matrix of a form of T: `K + C`, or
+        `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact
         nodes, assemble K without conditions and call `zeroRowsColumns` on the sum.
 
         Args:
-            h: the conductance [flux per area and jump of T], in the space of T. Its values at
-                secondary nodes are used; they may depend on the pressure (`SurfaceFields.on_mesh`).
+            h: the conductance [flux per area and jump of T], in the space of T, of which values at
+                secondary nodes count; they may depend on the pressure (`SurfaceFields.on_mesh`).
 
         Raises:
             InputError: h is not a scalar Function of degree 1 on the mesh of the displacement.
@@ -256,16 +217,15 @@ class ContactOperators:
         return jump.transposeMatMult(weighted)
 
     def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
-        """Return a density at contact nodes as a Function with values on both sides. Collective.
+        """Return a density (n, d) at contact nodes as a Function on both sides. Collective.
 
-        Nodes of the primary side have the transferred density. The density has values (n, d) at
-        contact nodes; a scalar density is in the first column.
+        Nodes of the primary side have the transferred density; a `scalar` is in the first column.
         """
         shape = () if scalar else (self._V.dofmap.index_map_bs,)
         Q = fem.functionspace(self._V.mesh, ("Lagrange", 1, shape))
         density = density[:, : Q.dofmap.index_map_bs]
         result = self._density(Q, density)
-        secondary = density.any(axis=1)
+        secondary = density.any(axis=1)  # elsewhere a node may have a density as a primary node
         result[self._nodes_in(Q)[secondary]] = density[secondary]
         return with_owned_values(Q, result, name)
 
@@ -290,22 +250,21 @@ class ContactOperators:
         return function.function_space, owned_values(function)
 
     def _nodes_in(self, Q: Any) -> LocalNumbers:
-        """Return the numbers (n,) of the contact nodes in a space Q of degree 1."""
+        """Return the numbers (n,) of the contact nodes, which are vertices, in Q of degree 1."""
         dofs = self._V.dofmap.list
         number = np.zeros(dofs.max(initial=-1) + 1, dtype=np.int32)
         number[dofs[:, : vertex_count(self._V)]] = Q.dofmap.list
         return np.asarray(number[self._pair.nodes])
 
     def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
-        """Create the matrix (n, nodes of Q) that acts on Q like sparse `rows` on V. Collective.
+        """Create the matrix (n, nodes of Q) that acts on Q like `rows` (n, nodes of V). Collective.
 
-        Q has degree 1; at nodes of V on edges and faces its fields are interpolated from the
-        corners.
+        Fields of Q have degree 1: between the corners, nodes of V have their interpolation.
         """
         V, element = self._V, self._V.element.basix_element
         # exact zeros, halves and quarters, so that nodes off the surface have no entries
         hats = np.round(tabulate(element.cell_type.name, 1, 0, element.points)[0], 12)
-        # for each node of V a cell that has it, and its place in this cell
+        # for each node of V a cell that has it (the last one written), and its place in this cell
         cell, place = np.zeros((2, V.dofmap.list.max(initial=-1) + 1), dtype=np.intp)
         cell[V.dofmap.list] = np.arange(len(V.dofmap.list))[:, None]
         place[V.dofmap.list] = np.arange(V.dofmap.list.shape[1])

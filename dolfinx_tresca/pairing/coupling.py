@@ -1,13 +1,10 @@
-"""The jump at secondary nodes: the dual basis, gaps, normals and directions of friction.
-
-The first functions decide which secondary nodes carry multipliers, and what to do if none does.
-"""
+"""Which secondary nodes carry multipliers; their jumps, gaps, normals, directions of friction."""
 
 from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 from mpi4py import MPI
 
@@ -36,33 +33,26 @@ from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
-#: over whole facets, with which the node carries a multiplier: 1 at nodes on the rim of the
-#: overlap, and 1 - d beyond a straight rim, at the distance d in sizes of the facet. With 0.76,
-#: nodes just beyond a block's edge would have up to 1.5 times the pressure of the nodes on the
-#: edge; with 0.94, nodes of a circle of 16 segments would lose their multipliers.
+#: over whole facets, with which the node carries a multiplier: 1 on the rim of the overlap, and
+#: 1 - d at the distance d in sizes of the facet. With 0.76, nodes just beyond a block's edge would
+#: have up to 1.5 times the pressure on the edge; with 0.94, nodes of a circle of 16 segments none.
 LEAST_MEAN = 0.88
-
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered: on
 #: an overlap as wide as one or two facets `LEAST_MEAN` would leave a line of nodes, about which a
 #: body could rotate. With half of it, nodes with a twentieth of their area covered would count.
 LEAST_MEAN_OF_FEW = 0.45
-
 #: Least covered part of a node's area with which the node carries a multiplier: no round number,
 #: since rounding would decide for overlaps by a round part of a cell, such as 0.1 or 0.01.
 LEAST_AREA_PART = 3e-4
 
-#: A warning is logged if bodies penetrate by less than this part of the sagitta (the height of
-#: their curved surfaces over the facets), whose error is 1 to 5 %.
+#: Penetration below which a fit is warned of, relative to the sagitta, whose error is 1 to 5 %.
 CLOSE_FIT = 0.5
-
-#: Bodies count as press-fitted if at least this part of the nodes penetrate. Bodies that only touch
-#: may penetrate at a few nodes, by errors of the sagitta.
+#: Part of the nodes that must penetrate for a press fit: errors of the sagitta bring in only a few.
 FITTED_PART = 0.25
 
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
 #: rounding of the coordinates times the sum of the row.
 ENTRY_ROUNDING = 8.0
-
 #: Difference of the means of two patches of a node over the primary side, relative to the means, up
 #: to which they face the same place. (With 0.5 friction is a sixth too small under a bolt's head.)
 SAME_MEANS = 1e-3
@@ -73,14 +63,15 @@ def corners_that_carry(
 ) -> Mask:
     """Return the mask (facets, corners) of the corners that carry multipliers. Collective.
 
-    Nodes beyond the rim of the overlap do not: a part of their area may be covered, but they do not
-    face the primary side, and with the nodal force of a whole facet on this part their pressure
-    would be far too large. Their part goes to their neighbours. If no corner of a facet is left,
-    that with the largest covered part carries. All ranks that have a node decide alike; `shared`
-    (n,) are nodes that also belong to the primary side.
+    Nodes beyond the rim of the overlap carry none: with the nodal force of a whole facet on the
+    covered part of their area, their pressure would be far too large. Neighbours take over this
+    part. If no corner of a covered facet is left, the corner with the largest covered part carries.
+    All ranks decide alike; `shared` (n,) are nodes that also belong to the primary side.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     agreed = partial(owners_flags, V, nodes.numbers)
+    # the integral of a node's hat function over the covered parts of its facets, and what it would
+    # be if the function had the same mean on these parts as on whole facets
     covered = nodes.reduced(np.add, weights, 0.0)
     whole = nodes.reduced(np.add, weights.mean(axis=1, keepdims=True), 0.0)
     # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
@@ -94,9 +85,9 @@ def corners_that_carry(
     partly = ~integrals.full & (weights.sum(axis=1) > 0.0)
     at_rim = corners_of(partly)
     without = agreed(at_rim & (covered < LEAST_MEAN * whole))
-    # `near` in three steps. First, the nodes at the rim that belong to fully covered facets. Then,
-    # in addition, their neighbours at the rim. Last, all corners of each partly covered facet on
-    # which one of these nodes has a multiplier
+    # `LEAST_MEAN` decides at nodes that are `near` a fully covered facet, else `LEAST_MEAN_OF_FEW`.
+    # `near` in three steps: nodes at the rim of fully covered facets; in addition, their neighbours
+    # at the rim; last, all corners of partly covered facets where one of these has a multiplier
     near = agreed(at_rim & corners_of(integrals.full))
     near = agreed(at_rim & (near | corners_of(partly & near[corners].any(axis=1))))
     near = corners_of(partly & (near & ~without)[corners].any(axis=1))
@@ -112,11 +103,12 @@ def corners_that_carry(
 def nodes_with_multipliers(
     V: Any, pair: ContactPair, nodes: SurfaceNodes, unpaired: Mask, shared: Mask
 ) -> Indices:
-    """Return the indices of this rank's nodes that carry multipliers; log the counts. Collective.
+    """Return the indices of this rank's nodes that carry multipliers. Collective.
 
     `unpaired` (n,) nodes do not face the primary side, which owners know; `shared` (n,) nodes
-    belong to it, too, and have no multiplier. With finite sliding there may be none, if nodes could
-    carry multipliers in other positions of the bodies.
+    belong to it, too, and have no multiplier. The log has the counts. With finite sliding there may
+    be no such node, if nodes could carry multipliers in other positions of the bodies; otherwise a
+    PairingError is raised if no rank has one.
     """
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
@@ -126,7 +118,6 @@ def nodes_with_multipliers(
     # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
     counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
     total, paired, eligible, prescribed, common, carrying, partly = reduce_array(comm, counts)
-    position = np.flatnonzero(carries)
     if carrying > 0:
         log(
             comm,
@@ -134,22 +125,29 @@ def nodes_with_multipliers(
             "part; of the others %d face nothing, %d are prescribed and %d are on both sides",
             *(pair, carrying, total, partly, total - paired, prescribed, common),
         )
-        return position
-    secondary, primary = pair.side("secondary"), pair.side("primary")
+        return np.flatnonzero(carries)
     hint = "" if pair.obstacle is None else _hint_at_normals(comm, pair.obstacle, nodes, own)
-    if eligible > 0 and pair.sliding == "finite":
-        log(
-            comm,
-            "pairing: %s: no node that could carry a multiplier faces the other.%s",
-            *(pair, hint),
-            level=logging.WARNING if hint else logging.INFO,
-            about=str(pair),
-        )
-        return position
-    if paired > 0:
+    if eligible == 0 or pair.sliding != "finite":
+        _raise_unpaired(pair, total, total - paired, prescribed, common, hint)
+    log(
+        comm,
+        "pairing: %s: no node that could carry a multiplier faces the other.%s",
+        *(pair, hint),
+        level=logging.WARNING if hint else logging.INFO,
+        about=str(pair),
+    )
+    return np.flatnonzero(carries)
+
+
+def _raise_unpaired(
+    pair: ContactPair, total: int, unpaired: int, prescribed: int, common: int, hint: str
+) -> NoReturn:
+    """Raise the error that says why no node carries a multiplier, from numbers of nodes."""
+    secondary, primary = pair.side("secondary"), pair.side("primary")
+    if unpaired < total:
         raise PairingError(
             f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {total - paired} do not face the primary side ({primary}), {prescribed} are "
+            f"nodes {unpaired} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
     limited = pair.search_distance is not None
@@ -194,37 +192,24 @@ def couple(
     shared: Mask,
     displaced: bool,
 ) -> PairOperators:
-    """Find the jumps at secondary nodes by integrals over facets that face the other side.
+    """Return N, T and the gap at the nodes of all pairs of a group. Collective.
 
-    The gap is the mean distance along the contact normal of the exact surfaces where they are
-    known, else of the facets with the heights of fitted surfaces. Directions in which the
-    displacement is prescribed have no rows; for exceptions see `PairOperators`. The result has the
-    nodes of all pairs of the group. Collective.
+    The jump at a node is the difference of the means over both sides, weighted with the node's
+    function of the dual basis. The gap is the mean distance along the contact normal of the exact
+    surfaces where they are known, else of the facets with the heights of fitted surfaces.
 
     `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
     and `shared` (n,) are as in `corners_that_carry`. If the surfaces are `displaced`, penetration
     is an error of the displacement, and no close fit is warned of.
     """
-    group, facets, count = undeformed.group, nodes.facets, len(nodes.numbers)
-    pair, comm, dim = group.surfaces, V.mesh.comm, V.mesh.geometry.dim
-    corners, columns = nodes.facet_nodes, V.dofmap.index_map.size_global
-    facet, partner = integrals.pairs.T
+    group, facets, comm, dim = undeformed.group, nodes.facets, V.mesh.comm, V.mesh.geometry.dim
+    pair, index_map = group.surfaces, V.dofmap.index_map
     with errors_on_all_ranks(comm):
-        # means, weighted by the functions psi_i of the dual basis: of the displacement on both
-        # sides, of the six quantities of `FacetIntegrals.means`, and of the coordinates
         spread = redistribution(carries)
         weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
         scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-        dual = dual_coefficients(integrals.hats, spread) * scale[corners][:, :, None]
-        own_rows = dual @ integrals.values  # (facets, corners, k)
-        jump = assemble_rows(nodes, corners, facets.nodes, own_rows, columns)
-        across = csr_array(jump.shape)
-        if primary is not None:
-            rows = dual[facet] @ integrals.partner
-            across = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, columns)
-            jump = jump - across
-        means = np.concatenate([dual @ integrals.means, own_rows @ facets.points], axis=2)
-        means = nodes.reduced(np.add, means, 0.0)
+        dual = dual_coefficients(integrals.hats, spread) * scale[nodes.facet_nodes][:, :, None]
+        within, across, means = _dual_means(nodes, primary, integrals, dual, index_map.size_global)
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals
     length = np.linalg.norm(means[:, 3:6], axis=1)
     vectors = np.where((length <= CANCELLED)[:, None], nodes.normals, means[:, 3:6])
@@ -236,31 +221,29 @@ def couple(
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
-
-    # the share of each pair of the group in a node's area, from the areas of overlaps
-    areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
-    column = partner if primary is None else primary.tag_index[partner]
-    pair_index = group.pair_of_tags[facets.tag_index[facet], column]
-    shares: Array = np.zeros((count, len(group.pairs)))
-    np.add.at(shares, (corners[facet], pair_index[:, None]), areas)
-    weights, shares = weights[position], shares[position]
-    shares *= (weights / shares.sum(axis=1))[:, None]
     if not displaced and primary is not None:
-        # Functions of the dual basis are negative in part: a mean may be less than all distances
-        # around the node. (The gap of displaced surfaces must change as N says, or the positions of
-        # finite sliding do not converge.)
+        # Functions of the dual basis are negative in part: a mean may be less than all distances.
+        # (Of displaced surfaces it must change as N says, or finite sliding does not converge.)
         gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not facets.has_exact_surface:
             _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
-
+    # the share of each pair of the group in a node's area, from the areas of overlaps
+    facet, partner = integrals.pairs.T
+    column = partner if primary is None else primary.tag_index[partner]
+    pair_index = group.pair_of_tags[facets.tag_index[facet], column]
+    shares: Array = np.zeros((len(nodes.numbers), len(group.pairs)))
+    areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
+    np.add.at(shares, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
     # from here on, arrays have rows for the nodes with multipliers alone
+    weights, shares = weights[position], shares[position]
+    shares *= (weights / shares.sum(axis=1))[:, None]
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
     smooth = np.array([isinstance(law, Frictionless) for law in laws])[owner]
     normals, free, numbers = normals[position, :dim], nodes.free[position], nodes.numbers[position]
     prescribed = np.linalg.norm(normals * free, axis=1) <= FACING_COSINE
-    jump, across, friction_acts = jump[position], across[position], free
+    jump, across, friction_acts = (within - across)[position], across[position], free
     if primary is not None:
         friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
     has_normal_row, room = _normals_and_room(numbers, across, normals, friction_acts, ~prescribed)
@@ -270,7 +253,7 @@ def couple(
     distance = np.where(bonded | (np.abs(gap[position]) <= ROUNDING * extent), 0.0, gap[position])
     return PairOperators(
         bonded=False,
-        nodes=(numbers - V.dofmap.index_map.local_range[0]).astype(np.int32),
+        nodes=(numbers - index_map.local_range[0]).astype(np.int32),
         weights=weights,
         shares=shares,
         areas=nodes.weights[position],
@@ -289,6 +272,30 @@ def couple(
         semi_axes=np.ones(rubs.sum()),
         undeformed=undeformed,
     )
+
+
+def _dual_means(
+    nodes: SurfaceNodes, primary: Facets | None, integrals: FacetIntegrals, dual: Array, width: int
+) -> tuple[Any, Any, Array]:
+    """Return means at secondary nodes, weighted with functions of the dual basis.
+
+    The functions have coefficients `dual` (facets, corners, corners) and the integral 1.
+
+    Returns:
+        sparse matrices (n, `width`) of the means of a displacement over the secondary side and over
+        the primary side, empty for an obstacle; `width` is the number of nodes of V. The means
+        (n, 9) of the six quantities of `FacetIntegrals.means` and of the coordinates.
+    """
+    facets, corners = nodes.facets, nodes.facet_nodes
+    own_rows = dual @ integrals.values  # (facets, corners, k)
+    within = assemble_rows(nodes, corners, facets.nodes, own_rows, width)
+    across = csr_array(within.shape)
+    if primary is not None:
+        facet, partner = integrals.pairs.T
+        rows = dual[facet] @ integrals.partner
+        across = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, width)
+    means = np.concatenate([dual @ integrals.means, own_rows @ facets.points], axis=2)
+    return within, across, nodes.reduced(np.add, means, 0.0)
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) -> None:
@@ -313,10 +320,9 @@ def dual_coefficients(hats: Array, spread: Array) -> Array:
     The basis psi is biorthogonal to the hat functions phi on the covered part of each facet
     (Wohlmuth 2000; Cichosz and Bischoff 2011): the integral of psi_i phi_j is that of phi_i for i =
     j, else zero. So a nodal pressure is the nodal force divided by the covered area. The hat
-    functions of corners that carry no multiplier are first added to the others, by the `spread` of
-    `redistribution`; a facet without multipliers has no basis. The basis sums to 1, so that
-    constant pressures are transferred exactly. `hats` (n, corners, corners) are the integrals
-    phi_i phi_j.
+    functions of corners without multipliers are first added to the others, by the `spread` of
+    `redistribution`; a facet without multipliers has no basis. The basis sums to 1: constant
+    pressures are transferred exactly. `hats` (n, corners, corners) are integrals of phi_i phi_j.
     """
     every = np.eye(hats.shape[1])
     masses = spread @ hats @ spread.transpose(0, 2, 1)
@@ -360,8 +366,8 @@ def assemble_rows(
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
 
-    Primary nodes whose share of the means (n, nodes of V) is `NEGLIGIBLE`, and nodes within edges
-    of facets of degree 2, do not count. A node that faces none is free in no direction.
+    Only corners whose share of the means (n, nodes of V) is not `NEGLIGIBLE` count. A node that
+    faces none is free in no direction.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     counts = np.abs(primary.data) > NEGLIGIBLE
@@ -383,10 +389,9 @@ def _normals_and_room(
     largest weight. Patches that face different places, such as the head of a bolt and its shank in
     a hole with clearance, are independent of each other.
 
-    Patches have the `numbers` (n,) of their nodes, ascending, and of one node by weight; the sparse
-    means (n, nodes of V) over the primary side, empty for an obstacle; normals (n, d); axes (n, d)
-    along which friction may act; and (n,) whether the displacement is not prescribed along the
-    normal.
+    Patches are given as in `SurfaceNodes`, by `numbers` (n,) of nodes; with sparse means over the
+    primary side (n, nodes of V); normals (n, d); axes (n, d) along which friction may act; and (n,)
+    whether the displacement is free along the normal.
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])

@@ -24,9 +24,8 @@ from dolfinx_tresca._base.arrays import (
     unit,
 )
 
-#: Deviation, relative to the size of a facet, that counts as rounding beside that of coordinates:
-#: of nodes from a straight shape, of a surface from its facet, of areas from zero. Mesh files have
-#: at least ten digits.
+#: Deviation, relative to the size of a facet, that counts as rounding beside that of coordinates,
+#: in shapes, heights and areas. Mesh files have at least ten digits.
 MESH_ROUNDING = 1e-10
 
 #: Attributes of `Facets` with a row for each facet; other attributes describe the whole surface.
@@ -35,33 +34,26 @@ FACET_ARRAYS = (
     *("outward", "offsets", "origins", "tag_index"),
 )
 
-#: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet that
-#: spans 30 degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
+#: Degree of the interpolation of the offsets on a facet. With degree 2 the sagitta of a facet of 30
+#: degrees of a cylinder is 0.4 % too small, an error as large as the gap of close fits.
 OFFSET_DEGREE = 4
-
 #: Largest number of Newton steps that find a reference point.
 NEWTON_STEPS = 20
 
-#: Distance of two corners, relative to the size of the facet, up to which they match, in addition
-#: to the rounding of coordinates: it may leave this part of the area of facets uncovered, or cover
-#: it twice. Meshes of a mesh generator differ by 1e-10 or less.
+#: Distance of two corners, relative to the facet, up to which they match, in addition to rounding,
+#: and part of an area that may be uncovered. Meshes of mesh generators differ by 1e-10 or less.
 MISMATCH = 1e-8
-
-#: What is nothing beside a facet, above the mismatch of meshes and far below their resolution: the
-#: part of its area by which it overlaps a facet with a common edge only; the distance, relative to
-#: its radius, of surfaces that touch; the cosine between its normal and a line along it. Also the
-#: length of a sum of normals, relative to the sum of their weights, where they cancel.
+#: What is nothing beside a facet, above the mismatch of meshes and far below their resolution: a
+#: part of its area, the distance of surfaces that touch relative to its radius, the cosine between
+#: its normal and a line along it, the length of a sum of normals relative to their weights.
 NEGLIGIBLE = 1e-6
 
 #: Least cosine between the normal of a facet and the reversed normal of a facet that it faces (84
-#: degrees): beyond, its area is more than ten times that of its projection. Also the length of the
-#: projection of a unit normal onto the free directions beyond which the projection, scaled to
-#: length 1, replaces the normal.
+#: degrees): beyond, its area is more than ten times that of its projection. Also the least length
+#: of the projection of a unit normal onto the free directions with which it replaces the normal.
 FACING_COSINE = 0.1
-
 #: Angle between the normals of two facets at a node [degrees] beyond which there is a sharp edge
-#: between them. Regular polygons with seven or more sides are smooth, as approximations of circles
-#: (51.4 degrees and less); boxes and hexagonal prisms have sharp edges (60 degrees and more).
+#: between them: polygons of seven or more sides are smooth; boxes and hexagons have sharp edges.
 EDGE_ANGLE = 55.0
 
 
@@ -80,9 +72,8 @@ class Facets:
         free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
         file_numbers: (n, corners) numbers of the corners in the mesh file.
         outward: (n,) 1 if the order of the nodes gives the outward normal, else -1.
-        offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` on the
-            facet to the exact surface [length]; NaN where it is unknown, (n, 0, 3) if it is on both
-            sides.
+        offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` to the
+            exact surface [length]; NaN where it is unknown, (n, 0, 3) if it is on both sides.
         origins: (n, 9) see `facet_origins`; (n, 0) on surfaces that do not touch themselves.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
@@ -166,7 +157,7 @@ class Facets:
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with nodes at points (n, k, 3); `bent` is that of this rank."""
         displaced = replace(self, points=points)
-        if self.has_exact_surface:
+        if self.has_exact_surface:  # the offsets turn with the facets
             local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
             offsets = np.einsum("nqd,ndi->nqi", local, displaced.frames())
             displaced = replace(displaced, offsets=offsets)
@@ -199,7 +190,7 @@ class Facets:
         return np.asarray(cross_products(along) * self.outward[facet, None])
 
     def coincide(self, facet: Indices, primary: Facets, partner: Indices) -> Mask:
-        """Return whether facets (p,) and partners (p,) on the primary side have equal corners."""
+        """Return whether all corners of facets (p,) are at corners of primary facets (p,)."""
         corners = self.points[facet, : self.corners]
         offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
         diameters = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
@@ -260,10 +251,9 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
 
 
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
-    """Find the reference points (n, dim) of facets whose images are given points of a plane.
+    """Find the reference points (n, dim) whose images are the `target` points (n, dim) of a plane.
 
-    Each point (n, dim) has a facet, whose nodes (n, k, dim) are projected into the plane [length].
-    Only the cell and degree of `facets` are used.
+    Each has a facet with nodes (n, k, dim) in the plane [length]; `facets` has cell and degree.
     """
     # the affine map is exact for straight segments, triangles and parallelograms
     sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(facets.dim)], axis=2)
@@ -292,7 +282,6 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-@dataclass(frozen=True)
 class SurfaceNodes:
     """The corners of facets; a node on a sharp edge has one entry for each of its `smooth_patches`.
 
@@ -304,45 +293,35 @@ class SurfaceNodes:
         points: (n, 3) positions [length].
         weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
         normals: (n, 3) outward unit normals: means over the facets of the patch at the node,
-            without prescribed components. (At the edge of a curved surface on a symmetry plane the
-            mean over one side is tilted out of this plane.)
+            without prescribed components, since means over one side of a symmetry plane are tilted.
         free: (n, dim of space) whether a component of the displacement is not prescribed.
         facet_nodes: (facets, corners) index of each facet's corners in the arrays above.
         has_no_normal: (n,) whether the normals of the facets cancel.
     """
 
-    facets: Facets
-    numbers: GlobalNumbers
-    points: Array
-    weights: Array
-    normals: Array
-    free: Mask
-    facet_nodes: Indices
-    has_no_normal: Mask
-
-    @classmethod
-    def from_facets(cls, facets: Facets) -> SurfaceNodes:
-        """Return the corners of facets, with their weights and normals."""
-        corners = facets.corners
+    def __init__(self, facets: Facets) -> None:
+        """Find the nodes at the corners of facets, and their smooth patches."""
+        self.facets, corners = facets, facets.corners
         unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
         normals, spread = _corner_normals(facets)
         patch, node_of_patch = smooth_patches(node.ravel(), normals.reshape(-1, 3))
         x, w = quadrature(facets.cell, 2 * facets.degree + 2)
         corner_weights = facets.area_elements(x) @ (facets.hats(x) * w[:, None])
-        # entries sorted by node, then by the weight of the patch
+        # an entry is a patch; entries are sorted by node, then by the weight of the patch
         weights = np.bincount(patch, corner_weights.ravel(), minlength=len(node_of_patch))
         order = np.lexsort((weights, node_of_patch))
-        weights, numbers = weights[order].astype(np.float64), unique[node_of_patch[order]]
-        position = np.argsort(order)[patch].reshape(-1, corners)  # entry of each facet's corners
-        vectors, lengths = np.zeros((len(numbers), 3)), np.zeros(len(numbers))
-        np.add.at(vectors, position, spread[:, :, None] * normals)
-        np.add.at(lengths, position, spread)
-        corner = np.unique(position, return_index=True)[1]  # one of those at each entry
-        points = facets.points[:, :corners].reshape(-1, 3)[corner]
-        free = facets.free.reshape(-1, facets.free.shape[2])[corner]
-        has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
-        normals = free_normals(np.where(has_no_normal[:, None], np.eye(3)[0], vectors), free)
-        return cls(facets, numbers, points, weights, normals, free, position, has_no_normal)
+        self.weights: Array = weights[order].astype(np.float64)
+        self.numbers: GlobalNumbers = unique[node_of_patch[order]]
+        self.facet_nodes: Indices = np.argsort(order)[patch].reshape(-1, corners)
+        vectors = self.reduced(np.add, spread[:, :, None] * normals, 0.0)
+        lengths = self.reduced(np.add, spread, 0.0)
+        corner = np.unique(self.facet_nodes, return_index=True)[1]  # any corner at each entry
+        self.points: Array = facets.points[:, :corners].reshape(-1, 3)[corner]
+        self.free: Mask = facets.free.reshape(-1, facets.free.shape[2])[corner]
+        self.has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
+        # any unit vector for the error message's sake
+        vectors[self.has_no_normal] = np.eye(3)[0]
+        self.normals = free_normals(vectors, self.free)
 
     def reduced(self, ufunc: np.ufunc, values: Any, initial: Any, facets: Any = slice(None)) -> Any:
         """Return sums, or other reductions, at nodes of values (facets, corners, ...) at corners.
@@ -364,7 +343,7 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
     corners = facets.points[:, : facets.corners]
     normals = unit(facets.area_vectors(facets.lagrange_points(1)))
     order = facets.corners_round
-    place = np.argsort(order)
+    place = np.argsort(order)  # the place of each corner in the order round the facet
     before = corners[:, order[place - 1]] - corners
     after = corners[:, np.roll(order, -1)[place]] - corners
     squares = np.square(before).sum(axis=2) * np.square(after).sum(axis=2)
@@ -376,9 +355,9 @@ def _corner_normals(facets: Facets) -> tuple[Array, Array]:
 
 
 def free_normals(vectors: Array, free: Mask) -> Array:
-    """Return unit normals (n, 3) along vectors, without components that are not free (n, dim).
+    """Return unit normals (n, 3) along vectors, without components that are not `free` (n, dim).
 
-    A vector keeps all of them if its free part is at most `FACING_COSINE` of its length.
+    A vector keeps all components if the free ones have at most `FACING_COSINE` of its length.
     """
     normals = unit(vectors)
     movable = normals.copy()
@@ -390,19 +369,22 @@ def free_normals(vectors: Array, free: Mask) -> Array:
 
 
 def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
-    """Return the smooth patch (n,) of facet corners (n,), by nodes, and the node of each patch.
+    """Return the smooth patch (n,) of facets' corners (n,), and the node (patches,) of each patch.
 
-    Two corners at one node, which have unit normals (n, 3), are in the same patch if these differ
-    by at most `EDGE_ANGLE`, or if a chain of such corners connects them. So a fillet is smooth.
+    The corners are at `node` (n,), where their facets have unit normals (n, 3). Two corners at one
+    node are in the same patch if their normals differ by at most `EDGE_ANGLE`, or if a chain of
+    such corners connects them. So a fillet is smooth.
     """
     corners = np.arange(len(node))
     shape = len(node), int(node.max(initial=-1)) + 1
+    # all pairs of corners at one node
     at_node = coo_array((np.ones(len(node)), (corners, node)), shape=shape)
     corner, partner = (at_node @ at_node.T).nonzero()
     near = dots(normals[corner], normals[partner]) >= math.cos(math.radians(EDGE_ANGLE))
     links = np.ones(near.sum()), (corner[near], partner[near])
     graph = coo_array(links, shape=(len(node), len(node)))
     count, component = connected_components(graph, directed=False)
+    # numbers of patches ascend with their nodes
     patches, patch = np.unique(node * count + component, return_inverse=True)
     return patch, patches // max(count, 1)
 

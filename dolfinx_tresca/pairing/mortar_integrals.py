@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
+from typing import TypeAlias
 
 from mpi4py import MPI
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, dots, unit
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn
@@ -22,38 +25,34 @@ from dolfinx_tresca.pairing.facets import (
     quadrature,
     rounding_of,
 )
-from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces
-from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps, weights_of_nearest
+from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces, flattened
+from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps
 from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Length of a facet, relative to its radius: the distance by which the primary side may recede over
-#: a facet. What is farther behind the nearest point is another surface, and means over both would
-#: be wrong for either. (With half of it, rounded bodies with facets of the size of their radius
-#: would lose parts of their overlap.) On a surface that touches itself, opposite facets are sought
-#: within this distance first; otherwise a wall of 2,046 bricks is paired in 71 s.
+#: a facet. What is farther behind the nearest point is another surface. (With half of it, rounded
+#: bodies with facets of the size of their radius would lose parts of their overlap.) On a surface
+#: that touches itself, facets are sought within this distance first, which saves much time.
 FACET_LENGTH = 2.0
 
-#: Angle [rad] by which an obstacle's normal turns over a facet (10 degrees). Up to this angle the
-#: mesh resolves the obstacle, and nodes see it; from three times the angle on, it is seen all over
-#: the facets around the node (`_see_between_nodes`). With twice instead of three times, the force
-#: on a cylinder with cells of a third of its radius is 9 to 18 % too large, instead of 0 to 7 %.
+#: Angle [rad] by which an obstacle's normal turns over a facet, up to which the mesh resolves the
+#: obstacle; from three times the angle on, it is seen all over the facets around the node. With
+#: twice instead of three times, the force on a cylinder with cells of a third of its radius is 9 to
+#: 18 % too large, instead of 0 to 7 %.
 RESOLVED_ANGLE = math.radians(10.0)
-
-#: Angle [rad] over a facet from which on an obstacle that enters the facet is warned of: forces of
-#: cylinders are then right to a quarter, those of balls to a factor of 1.7.
+#: Angle [rad] from which on an obstacle that enters a facet is warned of: forces of cylinders are
+#: then right to a quarter, those of balls to a factor of 1.7.
 COARSE_ANGLE = 3.0 * RESOLVED_ANGLE
 
 #: Height over its nearest point up to which an obstacle is seen, relative to its height over the
-#: corners of a facet whose middle it touches. With half of it a cylinder as small as the facets is
-#: pressed with up to 1.5 times the force; with 1.5 times of it, with half the force.
+#: corners of a facet whose middle it touches. With half of it a cylinder as small as the facets has
+#: up to 1.5 times the force; with 1.5 times of it, half the force.
 SEEN_HEIGHT = 1.0 / 3.0
-
 #: Degree of exactness of the quadrature over facets on which an obstacle is seen.
 SEEN_DEGREE = 16
-
-#: Part of the depth by which an obstacle enters facets, unseen, that is warned of. (With cells of
-#: 4/3 of the radius of a cylinder it was 0.54, and the force right to 16 %.)
+#: Unseen part of the depth by which an obstacle enters facets that is warned of. (On cells of 4/3
+#: of a cylinder's radius it was 0.54, and the force right to 16 %.)
 UNSEEN_PART = 0.3
 
 
@@ -62,14 +61,13 @@ class FacetIntegrals:
     """Integrals over the parts of secondary facets that face the primary side.
 
     Attributes:
-        hats: (n, corners, corners) integrals of products of two secondary hat functions [length^2,
-            in 2D length].
+        hats: (n, corners, corners) integrals of products of two secondary hat functions [area].
         values: (n, corners, k) integrals of secondary hat times secondary basis functions.
         means: (n, corners, 6) integrals of secondary hat functions times six quantities: the
             distance of the surfaces along the contact normal; the height of the secondary surface
-            over its facets (zero if an exact surface is known), and the sum of the heights of both
+            over its facets (zero if an exact surface is known); the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
-        least: (n,) least distance of the surfaces over each facet; infinite where none is paired.
+        least: (n,) least distance over each facet, infinite if unpaired; with obstacles of nodes.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
@@ -85,17 +83,84 @@ class FacetIntegrals:
     partner: Array
 
 
+#: The pieces and the smooth surface of the secondary side, and those of the primary side.
+Sides: TypeAlias = tuple[tuple[Pieces, SmoothSurface], tuple[Pieces, SmoothSurface]]
+
+
+class _PointsOfSide:
+    """Points of the facets of one side, opposite to quadrature points in planes of pieces.
+
+    Attributes:
+        facet: (n,) facet of each point.
+        x: (n, dim) reference points.
+        values: (n, k) basis functions of the displacement.
+        height: (n,) height of the facet over the plane [length].
+        to_surface: (n, 3) vectors from the facet to the smooth surface [length].
+        normals: (n, 3) outward unit normals of the smooth surface.
+    """
+
+    def __init__(self, surface: SmoothSurface, facet: Indices, nodes: Array, places: Array) -> None:
+        """Project facets, with nodes (n, k, dim + 1) in frames of planes, to places (n, dim)."""
+        self.facet, self.x = facet, project(surface.facets, nodes[:, :, :-1], places)
+        self.values = surface.facets.basis(self.x)
+        self.height = dots(self.values, nodes[:, :, -1])
+        self.to_surface, self.normals = surface.offsets_and_normals(facet, self.x)
+
+
+class _CutOverlaps:
+    """Overlaps of pairs of pieces, cut into m simplices with q quadrature points each.
+
+    Attributes:
+        piece: (pairs,) secondary piece of each pair, ascending; the overlap is in its plane.
+        partner_piece: (pairs,) primary piece of each pair.
+        facet: (pairs,) secondary facet of each pair.
+        partner: (pairs,) primary facet of each pair.
+        simplices: (m, dim + 1, dim) corners of the simplices in the plane [length].
+        areas: (m,) areas of the simplices [length^dim].
+        pair: (m,) pair of each simplex, ascending.
+        pair_of_point: (m q,) pair of each quadrature point.
+        places: (m q, dim) quadrature points in the plane [length].
+        hats: (m q, corners) secondary hat functions.
+        secondary: the opposite points of the secondary facets.
+        primary: the opposite points of the primary facets.
+    """
+
+    def __init__(
+        self, sides: Sides, piece: Indices, partner_piece: Indices, points: Array, rounding: Array
+    ) -> None:
+        """Cut the overlaps of pairs of pieces, except for areas within `rounding` (pieces,).
+
+        The quadrature `points` (q, dim + 1) of a simplex are given in barycentric coordinates.
+        """
+        (pieces, surface), (partners, partner_surface) = sides
+        self.piece, self.partner_piece = piece, partner_piece
+        self.facet, self.partner = pieces.facet[piece], partners.facet[partner_piece]
+        simplices, areas, pair = overlaps(
+            pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1],
+            pieces.local_coordinates(piece, partners.points[partner_piece])[:, :, :-1],
+        )
+        large = areas > rounding[piece][pair]
+        self.simplices, self.areas, self.pair = simplices[large], areas[large], pair[large]
+        places = np.einsum("qc,mcd->mqd", points, self.simplices)
+        self.places = places.reshape(-1, simplices.shape[2])
+        self.pair_of_point = point = np.repeat(self.pair, len(points))
+        own = pieces.local_coordinates(piece, surface.facets.points[self.facet])[point]
+        self.secondary = _PointsOfSide(surface, self.facet[point], own, self.places)
+        theirs = pieces.local_coordinates(piece, partner_surface.facets.points[self.partner])[point]
+        self.primary = _PointsOfSide(partner_surface, self.partner[point], theirs, self.places)
+        self.hats = surface.facets.hats(self.secondary.x)
+
+
 class MortarIntegrals(FacetIntegrals):
     """Integrals over the covered parts of secondary facets, which face the primary side.
 
     Primary facets are projected along the normal of a secondary facet; each overlap is cut into
-    triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Points hidden by a body are
-    excluded, and among several layers the nearest one is integrated.
+    triangles and integrated (Puso and Laursen 2004, Popp et al. 2010). Only points of the nearest
+    layer count that no body hides.
 
     Attributes:
-        opposite: (q, 2) pairs of facets that see each other, but whose roles are exchanged: the
-            first facet, which was searched from, is primary, and the second one is secondary. Empty
-            unless the surface touches itself.
+        opposite: (q, 2) pairs of facets of a surface that touches itself whose roles are exchanged:
+            the first facet, which was searched from, is primary, and the second one is secondary.
     """
 
     def __init__(
@@ -107,33 +172,25 @@ class MortarIntegrals(FacetIntegrals):
         may_meet: Callable[[Indices, Indices], Mask],
         order: SelfContact | None = None,
     ) -> None:
-        """Integrate over the overlaps of facets.
+        """Integrate over the overlaps of the `selected` (m,) secondary facets with primary facets.
 
-        Facets of a surface that touches itself are first paired with facets nearby, and only those
-        that these do not fully cover with all facets within the search distance. Only the
-        `selected` (m,) secondary facets are integrated over. Points beyond `limit` [length], and
-        facets (p,) for which `may_meet` is false, are not paired. On a surface that touches itself,
-        `order` decides which facet is secondary.
+        Points farther apart than `limit` [length], and facets (p,) for which `may_meet` is false,
+        are not paired. On a surface that touches itself, `order` decides which facet of a pair is
+        secondary, and a facet that facets nearby fully cover is paired with these alone.
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
-        self._pieces, self._partners = Pieces.from_facets(facets), Pieces.from_facets(partners)
+        self._pieces, self._partners = Pieces(facets), Pieces(partners)
         self._surface, self._partner_surface = SmoothSurface(secondary), SmoothSurface(primary)
         body = None if order is None else order.body[self._pieces.facet]
         self._visibility = Visibility(self._pieces, self._partners, body)
-        degree = 1 + facets.degree
-        if not (facets.affine and partners.affine):
-            degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
-        elif facets.has_exact_surface:
-            degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
-        elif not (self._surface.is_flat and self._partner_surface.is_flat):
-            degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
-        degree += facets.axisymmetric  # the radius is linear
-        x, w = quadrature("interval" if facets.dim == 1 else "triangle", degree)
+        simplex = "interval" if facets.dim == 1 else "triangle"
+        x, w = quadrature(simplex, self._exactness())
+        # quadrature points (q, dim + 1), their weights (q,), and the map of values there to corners
         self._barycentric, self._weights = np.column_stack([1.0 - x.sum(axis=1), x]), w / w.sum()
         self._to_corners = np.linalg.pinv(self._barycentric).T
-        self._rounding = rounding_of(self._pieces.points)
         self._area, count = self._pieces.areas, len(self._pieces.facet)
+        self._rounding = rounding_of(self._pieces.points) * self._area
 
         n, corners = secondary.facet_nodes.shape
         self.hats, self.means = np.zeros((n, corners, corners)), np.zeros((n, corners, 6))
@@ -161,6 +218,18 @@ class MortarIntegrals(FacetIntegrals):
         del self._overlaps, self._pieces, self._partners, self._visibility
         del self._surface, self._partner_surface
 
+    def _exactness(self) -> int:
+        """Return the degree of polynomials that the quadrature over overlaps integrates exactly."""
+        facets, partners = self._surface.facets, self._partner_surface.facets
+        degree = 1 + facets.degree
+        if not (facets.affine and partners.affine):
+            degree = 2 * degree + 4  # rational integrands: error below the error of the mesh
+        elif facets.has_exact_surface:
+            degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
+        elif not (self._surface.is_flat and self._partner_surface.is_flat):
+            degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
+        return degree + facets.axisymmetric  # the radius is linear
+
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that face each other and may meet.
 
@@ -179,113 +248,139 @@ class MortarIntegrals(FacetIntegrals):
     def _integrate(
         self, mine: Indices, partners: Indices, limit: Array, *, covered_only: bool = False
     ) -> Mask:
-        """Add the integrals over pairs of secondary and primary pieces (pairs,), ascending.
+        """Add the integrals over the overlaps of pairs of secondary and primary pieces (pairs,).
 
-        All pairs of a secondary piece are given, and `limit` (pieces,) is its search distance
-        [length]. With `covered_only` pieces that are not fully covered are left out. Return which
-        pieces (pieces,) these pairs cover fully, whatever the roles are.
+        All pairs of a secondary piece are given, ascending, and `limit` (pieces,) is its search
+        distance [length]. With `covered_only`, nothing is added on pieces that these pairs do not
+        cover fully. Return which pieces (pieces,) the pairs cover fully, whatever the roles are.
         """
-        pieces, surface, partner_surface = self._pieces, self._surface, self._partner_surface
-        secondary, primary, dim = surface.facets, partner_surface.facets, surface.facets.dim
-        # the overlaps in the planes of the secondary pieces, cut into simplices
-        simplices, areas, pair = overlaps(
-            pieces.local_coordinates(mine, pieces.points[mine])[:, :, :dim],
-            pieces.local_coordinates(mine, self._partners.points[partners])[:, :, :dim],
-        )
-        large = areas > (self._rounding * self._area)[mine][pair]
-        simplices, areas, pair = simplices[large], areas[large], pair[large]
-
-        # quadrature points, (simplices * count,), in the planes and on both facets
-        count = len(self._weights)
-        places = np.einsum("qc,mcd->mqd", self._barycentric, simplices).reshape(-1, dim)
-        weight = (areas[:, None] * self._weights).ravel()
-        facet, partner = pieces.facet[mine], self._partners.facet[partners]
-        point_pair = np.repeat(pair, count)
-        own_facet, their_facet, piece = facet[point_pair], partner[point_pair], mine[point_pair]
-        own = pieces.local_coordinates(mine, secondary.points[facet])[point_pair]
-        theirs = pieces.local_coordinates(mine, primary.points[partner])[point_pair]
-        x_own = project(secondary, own[:, :, :dim], places)
-        x_their = project(primary, theirs[:, :, :dim], places)
-        hats = secondary.hats(x_own)
-        values, partner_values = secondary.basis(x_own), primary.basis(x_their)
-        start, end = dots(values, own[:, :, dim]), dots(partner_values, theirs[:, :, dim])
-        apart = end - start
-        to_surface, outward = surface.offsets_and_normals(own_facet, x_own)
-        to_partner, their_outward = partner_surface.offsets_and_normals(their_facet, x_their)
-
-        # weights of points that are seen in either role: not hidden, near, and turned to each other
-        centres = simplices.mean(axis=1)
-        low, high = (side.reshape(-1, count) @ self._weights for side in (start, end))
-        hidden = self._visibility.hidden(mine[pair], centres, low, high, partners[pair])
-        weight = weight * np.repeat(~hidden, count) * (np.abs(apart) <= limit[piece])
-        weight = weights_of_nearest(mine, pair, simplices, areas, places, apart, weight, self._area)
-        weight = weight * surface.may_touch(
-            own_facet, outward, partner_surface, their_facet, their_outward
-        )
-        # what lies far behind the nearest point of a piece is another surface
-        nearest: Array = np.full(len(limit), np.inf)
-        np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
-        weight = weight * (np.abs(apart) - nearest[piece] <= FACET_LENGTH * pieces.radii[piece])
-
-        # weights of pairs in this role, and in terms of area elements
-        seen = weight
-        opposite: Mask = np.zeros(len(mine), dtype=np.bool_)
+        sides = (self._pieces, self._surface), (self._partners, self._partner_surface)
+        cut = _CutOverlaps(sides, mine, partners, self._barycentric, self._rounding)
+        seen = self._seen_weights(cut, limit)
+        # where the roles are exchanged, points cover the piece, but are not integrated over
+        weight, opposite = seen, np.zeros(len(mine), dtype=np.bool_)
         if self._order is not None:
-            is_primary = ~self._order.is_secondary(facet, partner)[point_pair]
-            opposite[point_pair[is_primary & (weight > 0.0)]] = True
-            weight = weight * ~is_primary
-        surface_weight = weight
-        if not secondary.affine:  # areas of curved facets for those in the planes of pieces
-            vectors = secondary.area_vectors_at(own_facet, x_own)
-            in_plane = np.abs(dots(vectors, pieces.normals[piece]))
-            surface_weight = surface_weight * np.linalg.norm(vectors, axis=1) / in_plane
-        if secondary.axisymmetric:
-            radii = dots(values, secondary.points[own_facet, :, 0])
-            surface_weight = surface_weight * 2.0 * np.pi * radii
-
-        # normals and distances; at the rim of one side fitted surfaces differ where facets coincide
-        turns = surface.turns_to_ends[own_facet], partner_surface.turns_to_ends[their_facet]
-        normals = contact_normals(outward, their_outward, *turns)
-        coincide = secondary.coincide(facet, primary, partner)[point_pair]
-        if not secondary.has_exact_surface:
-            to_partner[coincide], to_surface[coincide] = 0.0, 0.0
-        without_height = coincide | secondary.has_exact_surface
-        secondary_sagitta = ~without_height * surface.heights(own_facet, hats)
-        sagitta = dots(to_surface - to_partner, normals)
-        # a vector between the surfaces: the distance of the facets minus both heights would lose
-        # accuracy for closely fitting bodies, for which heights are much larger than the distance
-        between = apart[:, None] * pieces.normals[piece]
-        distance = dots(between + to_partner - to_surface, normals)
+            is_primary = ~self._order.is_secondary(cut.facet, cut.partner)[cut.pair_of_point]
+            opposite[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
+            weight = seen * ~is_primary
+        means, q = self._quantities(cut), len(self._weights)
         # least distance of each simplex: of the linear function that fits the distances best
-        least = (distance.reshape(-1, count) @ self._to_corners).min(axis=1)
-        least[~(weight.reshape(-1, count) > 0.0).any(axis=1)] = np.inf
-
-        # sums over the simplices of each pair that counts, and over the pairs of facets and pieces
-        kept, simplex_starts = np.unique(pair, return_index=True)
+        least = (means[:, 0].reshape(-1, q) @ self._to_corners).min(axis=1)
+        least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
+        # sums over each of the pairs that overlap: its simplices follow each other from a start on
+        pairs, starts = np.unique(cut.pair, return_index=True)
+        piece, area = mine[pairs], np.add.reduceat(weight, starts * q)
+        seen_area = np.bincount(piece, np.add.reduceat(seen, starts * q), minlength=len(limit))
+        covered: Mask = seen_area >= (1.0 - MISMATCH) * self._area
+        added = covered[piece] if covered_only else np.ones(len(pairs), dtype=np.bool_)
+        weighted_hats = self._surface_weights(cut, weight)[:, None] * cut.hats
+        left = weighted_hats.reshape(-1, q, cut.hats.shape[1]).transpose(0, 2, 1)
 
         def products(right: Array) -> Array:
-            """Integrate hats times functions over overlaps: (pairs, hats, functions)."""
-            left = (surface_weight[:, None] * hats).reshape(-1, count, hats.shape[1])
-            blocks = left.transpose(0, 2, 1) @ right.reshape(-1, count, right.shape[1])
-            return np.asarray(np.add.reduceat(blocks, simplex_starts, axis=0))
+            """Integrate hats times functions (points, k) over overlaps: (pairs, corners, k)."""
+            of_simplices = left @ right.reshape(-1, q, right.shape[1])
+            return np.asarray(np.add.reduceat(of_simplices, starts, axis=0))
 
-        piece_of_pair, seen_of_pair = mine[kept], np.add.reduceat(seen, simplex_starts * count)
-        seen_of_piece = np.bincount(piece_of_pair, seen_of_pair, minlength=len(limit))
-        covered: Mask = seen_of_piece >= (1.0 - MISMATCH) * self._area
-        add = covered[piece_of_pair] if covered_only else np.ones(len(kept), dtype=np.bool_)
-        added_to = facet[kept][add]
-        means = np.column_stack([distance, secondary_sagitta, sagitta, normals])
-        for total, integrand in ((self.hats, hats), (self.values, values), (self.means, means)):
-            np.add.at(total, added_to, products(integrand)[add])
-        np.minimum.at(self.least, added_to, np.minimum.reduceat(least, simplex_starts)[add])
-        area_of_pair = np.add.reduceat(weight, simplex_starts * count)
-        np.add.at(self._covered, piece_of_pair[add], area_of_pair[add])
-        both: Indices = np.column_stack([facet, partner])[kept]
-        paired = add & (area_of_pair > 0.0)
-        self._overlaps.append(
-            (both[paired], products(partner_values)[paired], both[add & opposite[kept]])
-        )
+        facet, values = cut.facet[pairs][added], cut.secondary.values
+        for total, integrand in ((self.hats, cut.hats), (self.values, values), (self.means, means)):
+            np.add.at(total, facet, products(integrand)[added])
+        np.minimum.at(self.least, facet, np.minimum.reduceat(least, starts)[added])
+        np.add.at(self._covered, piece[added], area[added])
+        both: Indices = np.column_stack([cut.facet, cut.partner])[pairs]
+        paired, exchanged = added & (area > 0.0), added & opposite[pairs]
+        self._overlaps.append((both[paired], products(cut.primary.values)[paired], both[exchanged]))
         return covered
+
+    def _seen_weights(self, cut: _CutOverlaps, limit: Array) -> Array:
+        """Return quadrature weights (points,) in the planes, 0 where the sides do not face there.
+
+        Points face each other if they are within `limit` (pieces,) [length], nothing hides them or
+        is nearer, the surfaces may touch there (`SmoothSurface.may_touch`), and the primary one is
+        not far behind the nearest one that faces the piece (`FACET_LENGTH`).
+        """
+        secondary, primary, q = cut.secondary, cut.primary, len(self._weights)
+        piece, apart = cut.piece[cut.pair_of_point], primary.height - secondary.height
+        # a simplex is hidden as a whole, if it is at its centre, with mean heights
+        low, high = (side.height.reshape(-1, q) @ self._weights for side in (secondary, primary))
+        centres, partner = cut.simplices.mean(axis=1), cut.partner_piece[cut.pair]
+        hidden = self._visibility.hidden(cut.piece[cut.pair], centres, low, high, partner)
+        weight = (cut.areas[:, None] * self._weights).ravel()
+        weight = weight * np.repeat(~hidden, q) * (np.abs(apart) <= limit[piece])
+        weight = self._without_covered(cut, apart, weight)
+        own, theirs = (secondary.facet, secondary.normals), (primary.facet, primary.normals)
+        weight = weight * self._surface.may_touch(*own, self._partner_surface, *theirs)
+        nearest: Array = np.full(len(limit), np.inf)
+        np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
+        behind = np.abs(apart) - nearest[piece]
+        return np.asarray(weight * (behind <= FACET_LENGTH * self._pieces.radii[piece]))
+
+    def _without_covered(self, cut: _CutOverlaps, apart: Array, weight: Array) -> Array:
+        """Return weights (points,), set to 0 where a nearer simplex of another pair covers a point.
+
+        Of two simplices that overlap, the one with the smaller mean distance counts; `apart`
+        (points,) are the distances along the normal [length], negative for penetration.
+        """
+        q, piece = len(self._weights), cut.piece[cut.pair]
+        has_weight = weight.reshape(-1, q).any(axis=1)
+        # only on pieces with less area than their simplices, simplices can overlap
+        area = np.bincount(piece, cut.areas * has_weight, minlength=len(self._area))
+        overlaid = (area > (1.0 + MISMATCH) * self._area)[piece]
+        crowded = np.flatnonzero(overlaid & has_weight)
+        if len(crowded) == 0:
+            return weight
+        # a tree for the planes of all pieces, far apart along one more axis
+        corners, dim = cut.simplices[crowded], cut.places.shape[1]
+        middles = corners.mean(axis=1)
+        reach = np.linalg.norm(corners - middles[:, None], axis=2).max()
+        plane = 4.0 * reach * piece[crowded]
+        tree = cKDTree(np.column_stack([middles, plane]))
+        places = cut.places.reshape(-1, q, dim)[crowded].reshape(-1, dim)
+        points = np.column_stack([places, np.repeat(plane, q)])
+        point, b = flattened(tree.query_ball_point(points, reach * (1.0 + 1e-9)))
+        # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
+        a, b, place = crowded[point // q], crowded[b], places[point]
+        distance = np.abs(apart).reshape(-1, q).mean(axis=1)
+        nearer = (cut.pair[a] != cut.pair[b]) & (distance[b] < distance[a])
+        point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
+        start = cut.simplices[b, 0]
+        sides = np.swapaxes(cut.simplices[b, 1:] - start[:, None], 1, 2)
+        reference = np.linalg.solve(sides, (place - start)[..., None])[..., 0]
+        # on an edge that two nearer simplices share, the point is in both
+        inside = (reference > -MISMATCH).all(axis=1) & (reference.sum(axis=1) < 1.0 + MISMATCH)
+        result = weight.reshape(-1, q).copy()
+        result[a[inside], point[inside] % q] = 0.0
+        return result.ravel()
+
+    def _surface_weights(self, cut: _CutOverlaps, weight: Array) -> Array:
+        """Return weights (points,) in the planes as weights on facets, or on their rings."""
+        facets, side = self._surface.facets, cut.secondary
+        if not facets.affine:
+            vectors = facets.area_vectors_at(side.facet, side.x)
+            in_plane = np.abs(dots(vectors, self._pieces.normals[cut.piece[cut.pair_of_point]]))
+            weight = weight * np.linalg.norm(vectors, axis=1) / in_plane
+        if facets.axisymmetric:
+            weight = weight * 2.0 * np.pi * dots(side.values, facets.points[side.facet, :, 0])
+        return weight
+
+    def _quantities(self, cut: _CutOverlaps) -> Array:
+        """Return the six quantities (points, 6) whose means are `FacetIntegrals.means`."""
+        surface, partner_surface, point = self._surface, self._partner_surface, cut.pair_of_point
+        facets, own, theirs = surface.facets, cut.secondary, cut.primary
+        turns = surface.turns_to_ends[own.facet], partner_surface.turns_to_ends[theirs.facet]
+        normals = contact_normals(own.normals, theirs.normals, *turns)
+        # where facets coincide, so do the surfaces: at the rim of one side the fitted ones differ
+        is_fitted = not facets.has_exact_surface
+        coincide = facets.coincide(cut.facet, partner_surface.facets, cut.partner)[point]
+        equal = (is_fitted & coincide)[:, None]
+        to_surface, to_partner = (np.where(equal, 0.0, side.to_surface) for side in (own, theirs))
+        secondary_sagitta = (is_fitted & ~coincide) * surface.heights(own.facet, cut.hats)
+        sagitta = dots(to_surface - to_partner, normals)
+        # not the distance of the facets minus both heights: if these are much larger than the
+        # distance, the difference would lose accuracy
+        apart = theirs.height - own.height
+        between = apart[:, None] * self._pieces.normals[cut.piece[point]]
+        distance = dots(between + to_partner - to_surface, normals)
+        return np.column_stack([distance, secondary_sagitta, sagitta, normals])
 
 
 def obstacle_integrals(
@@ -297,58 +392,46 @@ def obstacle_integrals(
     degree 1, gap and jump are then the nodal values. With degree 2 the distance at nodes on
     straight edges is measured from the smooth curved surface (`SmoothSurface`), since a body of
     degree 2 can take the shape of the obstacle. Where the mesh does not resolve the obstacle, it is
-    also seen between the nodes (`_see_between_nodes`). A warning tells how far an undeformed body
-    is entered unseen, unless it is `displaced`.
+    also seen between the nodes; what undeformed bodies enter unseen is warned of.
 
     Returns:
-        the nodes, with the facets of all patches at one entry of each node, since the patches share
-        the normal of the obstacle; the integrals; and whether a facet faces the obstacle at its
-        corners (n, corners).
+        the nodes, where facets of all patches have one entry of a node, since they share the normal
+        of the obstacle; the integrals; and whether facets face it at their corners (n, corners).
     """
-    facets = nodes.facets
+    facets, centre = nodes.facets, quadrature(nodes.facets.cell, 1)[0]
     entry = np.searchsorted(nodes.numbers, nodes.numbers, side="right") - 1
     with errors_on_all_ranks(comm):
         surface = SmoothSurface(nodes)
-        nodes = replace(nodes, facet_nodes=entry[nodes.facet_nodes])
-        every, middle = np.arange(len(facets.points)), quadrature(facets.cell, 1)[0]
-        centres = facets.points_at(middle)[:, 0]
+        nodes = copy(nodes)
+        nodes.facet_nodes = entry[nodes.facet_nodes]
         at_corners = obstacle.at(nodes.points)[1][nodes.facet_nodes]
+        centres = facets.points_at(centre)[:, 0]
         _, at_centres = obstacle.at(centres)
-        # A facet faces the obstacle at a corner if the normals of both are opposed at this corner
-        # and at the centre of the facet. So, if an edge of the body lies in a corner between walls
-        # of the obstacle, only the facets in front of the nearest wall count at the edge's nodes.
+        # A facet faces the obstacle at a corner if the normals are opposed there and at the centre:
+        # at an edge in a corner between two walls, the facets in front of the nearest wall do.
         corner_normals = unit(facets.area_vectors(facets.lagrange_points(1)))
         faces: Mask = dots(corner_normals, at_corners) < -FACING_COSINE
         faces &= (dots(facets.mean_normals, at_centres) < -FACING_COSINE)[:, None]
         facing = np.asarray(faces.any(axis=1))
+        # nodes have the obstacle's normal if the mesh resolves its turns, else the mean of both
         turns = turned_angles(dots(at_corners, at_centres[:, None])) * facing
         at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
         own_turns = surface.turns[:, None]
         mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
         unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
         normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
+        integrals = _nodal_integrals(obstacle, surface, normals, facing)
         # nodes see a hollow obstacle, such as a corner between walls, before all other points do
         spread = facets.points[:, : facets.corners] - centres[:, None]
         turns *= dots(spread, at_corners - at_centres[:, None]).sum(axis=1) > 0.0
-
-        x = facets.lagrange_points(facets.degree)
-        distance, _ = _at(obstacle, surface.points(every, x))
-        height = _at(obstacle, facets.points)[0] - distance
-        x, w = quadrature(facets.cell, 4 * facets.degree + 2)
-        weighted = (facets.area_elements(x) * w * facing[:, None])[:, None] * facets.hats(x).T
-        hats, values = weighted @ facets.hats(x), weighted @ facets.basis(x)
-        at_nodes = np.stack([distance, height, height], axis=2)
-        means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
-        least, full = np.zeros(len(hats)), np.ones(len(hats), dtype=np.bool_)
-        pairs = np.column_stack([every, np.zeros_like(every)])
-        integrals = FacetIntegrals(hats, values, means, least, full, pairs, hats)
         near = _see_between_nodes(obstacle, nodes, surface, turns, integrals)
-        seen = distance.min(axis=1, initial=np.inf)
+    if not displaced:
+        # the least distance that nodes see, or means over the facets around them
+        seen = integrals.least.copy()
         gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
         areas = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
         corners = nodes.facet_nodes[near]
         seen[near] = (gaps[corners] / areas[corners]).min(axis=1, initial=np.inf)
-    if not displaced:
         front = np.flatnonzero(facing)
         with errors_on_all_ranks(comm):
             points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
@@ -358,13 +441,34 @@ def obstacle_integrals(
     return nodes, integrals, faces
 
 
+def _nodal_integrals(
+    obstacle: RigidObstacle, surface: SmoothSurface, normals: Array, facing: Mask
+) -> FacetIntegrals:
+    """Return the integrals over facets that face an obstacle (n,), zero over the others.
+
+    Distances are interpolated between the nodes of the displacement, and the contact normals
+    (n, corners, 3) between corners. `least` is the least distance at a node of the facet.
+    """
+    facets, every = surface.facets, np.arange(len(facing))
+    distance, _ = _at(obstacle, surface.points(every, facets.lagrange_points(facets.degree)))
+    height = _at(obstacle, facets.points)[0] - distance
+    x, w = quadrature(facets.cell, 4 * facets.degree + 2)
+    weighted = (facets.area_elements(x) * w * facing[:, None])[:, None] * facets.hats(x).T
+    hats, values = weighted @ facets.hats(x), weighted @ facets.basis(x)
+    at_nodes = np.stack([distance, height, height], axis=2)
+    means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
+    least, full = distance.min(axis=1, initial=np.inf), np.ones(len(every), dtype=np.bool_)
+    pairs = np.column_stack([every, np.zeros_like(every)])
+    return FacetIntegrals(hats, values, means, least, full, pairs, hats)
+
+
 def _warn_of_unseen(
     comm: MPI.Comm, pair: ContactPair, depth: Array, seen: Array, turns: Array, extent: float
 ) -> None:
     """Warn if an obstacle enters facets (n,) farther than the mesh sees. Collective.
 
-    From the depth by which it enters, the part of it that nodes, or means between nodes, see, and
-    the angle by which its normal turns [rad]; `extent` is the largest coordinate [length].
+    `depth` is how far it enters a facet, `seen` the depth that nodes see, or means around them, and
+    `extent` the largest coordinate [length]; `turns` is the angle by which its normal turns [rad].
     """
     greatest = [array.max(initial=0.0) for array in (depth, depth - seen, turns * (depth > 0.0))]
     deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
@@ -400,29 +504,29 @@ def _see_between_nodes(
     An obstacle that is smaller than a facet may touch it between nodes. Gap, contact normal and
     displacement of a node are then means over the facets around it, with its hat function times
     exp(-(g - least) / height) as weight, where g is the distance and `least` its least value on
-    these facets. So the force acts where the obstacle touches, and moments are balanced. The height
-    is a part (`SEEN_HEIGHT`) of the height of the obstacle over the corners of a facet whose middle
-    it touches: with the nearest point alone, bodies are too stiff.
+    these facets. So the force acts where the obstacle touches. The height is a part (`SEEN_HEIGHT`)
+    of the height of the obstacle over the corners of a facet whose middle it touches.
 
-    `turns` (n,) is the angle by which the obstacle's normal turns over each facet [rad], zero for
-    facets that do not face it. The integrals change in place over the facets (m,) that are
-    returned; there, hat functions count as dual.
+    The obstacle's normal turns by `turns` (n,) over facets [rad], zero where they do not face it.
+    The integrals change in place over the facets (m,) that are returned; hats count as dual there.
     """
     facets = nodes.facets
+    # share (m, corners, 1) of the new means, which take over gradually as the angle grows
     around = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
     share = np.clip(0.5 * (around / RESOLVED_ANGLE - 1.0), 0.0, 1.0)
     near = np.flatnonzero(integrals.hats.any(axis=(1, 2)) & share.any(axis=1))
-    close = facets.selected(near)
-    corners, turns, share = nodes.facet_nodes[near], turns[near], share[near, :, None]
+    close, corners, share = facets.selected(near), nodes.facet_nodes[near], share[near, :, None]
+    turns = turns[near]
+    # the six quantities of `FacetIntegrals.means` at points all over the facets
     x, w = quadrature(facets.cell, SEEN_DEGREE)
-    hats, basis = facets.hats(x), facets.basis(x)
-    points = surface.points(near, x)
+    hats, points = facets.hats(x), surface.points(near, x)
     distance, outward = _at(obstacle, points)
     own = unit(hats @ surface.corner_normals[near])
     normals = contact_normals(own, outward, surface.turns[near, None], turns[:, None])
     above = dots(close.points_at(x) - points, outward)
     seen = np.dstack([distance, above, above, normals])
-
+    # weights (m, corners, points): the hat function times the exponential function, scaled such
+    # that a node keeps its area. An arc over a chord of length l has the height turn l / 8
     widths = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
     own_height = SEEN_HEIGHT / 8.0 * facets.dim * turns * widths
     height = nodes.reduced(np.maximum, own_height[:, None], 0.0, near)
@@ -433,11 +537,12 @@ def _see_between_nodes(
     areas = integrals.hats[near].sum(axis=2)
     total = nodes.reduced(np.add, weights.sum(axis=2), 0.0, near)[corners]
     weights *= (nodes.reduced(np.add, areas, 0.0, near)[corners] / total)[:, :, None]
+    # the integrals so far are multiplied by the dual basis, and so can be mixed with the new ones
     dual = areas[:, :, None] * np.linalg.inv(integrals.hats[near])
     values, means = dual @ integrals.values[near], dual @ integrals.means[near]
     # the normal at a node half a facet away is wrong by more than the distance there
     shares = share * [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
-    integrals.values[near] = values + share * (weights @ basis - values)
+    integrals.values[near] = values + share * (weights @ facets.basis(x) - values)
     integrals.means[near] = means + np.minimum(shares, 1.0) * (weights @ seen - means)
     integrals.hats[near] = areas[:, :, None] * np.eye(facets.corners)
     return near

@@ -21,7 +21,6 @@ NODE_ARRAYS = (
     *("nodes", "weights", "shares", "areas", "places", "normals", "distance", "added_gap"),
     *("secondary_sagitta", "jump", "primary", "prescribed", "has_normal_row"),
 )
-
 #: Attributes of `PairOperators` with a row for each row of T.
 TANGENTIAL_ARRAYS = ("tangents", "tangent_node", "semi_axes")
 
@@ -31,10 +30,9 @@ class PairOperators:
     """The jump operators of one pair at the contact nodes that this rank owns.
 
     N u and T u are jumps of the displacement [length], secondary minus primary; d is the dimension
-    of space. A node whose displacement is prescribed along its normal has no row of N. If the
-    displacement of a node is prescribed along a tangent, its row of T stays, and friction acts on
-    the primary body alone. There is no such row if an opposite primary node is prescribed as well,
-    if the primary side is an obstacle, or for `Bonded`.
+    of space. A node whose displacement is prescribed along its normal has no row of N. If it is
+    prescribed along a tangent, its row of T stays, and friction acts on the primary body alone;
+    but there is no row for an obstacle, for `Bonded`, or if an opposite primary node is prescribed.
 
     Attributes:
         bonded: whether the jumps are constrained to zero and multipliers have any sign.
@@ -42,24 +40,21 @@ class PairOperators:
         weights: (n,) covered area of each node [length^2, in 2D length].
         shares: (n, pairs) part of the covered area that belongs to each pair of the group.
         areas: (n,) whole area of each node, covered or not [length^2, in 2D length].
-        places: (n, d) points of application of the resultant nodal forces on the secondary side
-            [length].
+        places: (n, d) points where the nodal forces act on the secondary side [length].
         normals: (n, d) outward unit normals of the secondary side.
-        distance: (n,) initial distance of the surfaces along the normal [length], positive if open;
-            distances within rounding are zero, so that unloaded bodies stay at rest.
+        distance: (n,) initial distance of the surfaces along the normal [length], positive if open,
+            and zero within rounding.
         added_gap: (n,) present value of `ContactPair.gap` at each node [length].
         secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
             which reduces the gap [length]; zero for degree 1.
         jump: (n, nodes of V) sparse matrix of the jump, the weighted means over the secondary side
             minus those over the primary side, with global column numbers.
-        primary: (n, nodes of V) sparse matrix of the weighted means over the primary side; rows are
-            empty for an obstacle.
+        primary: (n, nodes of V) sparse matrix of these means over the primary side, or empty rows.
         prescribed: (n,) whether the displacement of the node is prescribed along the normal.
         has_normal_row: (n,) whether N has a row for the node.
         tangents: (n_tangential, d) unit vector along each row of T; none if there is no friction.
         tangent_node: (n_tangential,) index in `nodes` of each row of T.
-        semi_axes: (n_tangential,) slip bound along each row of T relative to the largest bound of
-            the node; 1 for circles.
+        semi_axes: (n_tangential,) slip bound along each row of T, relative to the node's largest.
         undeformed: the undeformed surfaces, which are displaced for each later pairing.
     """
 
@@ -142,7 +137,7 @@ class PairOperators:
 
 
 def joined(operators: Sequence[PairOperators]) -> PairOperators:
-    """Return the operators at the nodes of several parts of one group."""
+    """Return the operators at the nodes of several operators of one group, in their order."""
     changes: dict[str, Any] = {}
     for name in (*NODE_ARRAYS, *TANGENTIAL_ARRAYS):
         arrays = [getattr(pair, name) for pair in operators]
@@ -154,8 +149,10 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
 
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
-    """Return rows (n, dofs) of the jump (nodes, nodes of V) along unit vectors (n, d)."""
-    # each entry becomes dim entries, in the columns of its node's components
+    """Return sparse `rows` (n,) of a jump (nodes, nodes of V) along unit vectors (n, d), (n, dofs).
+
+    Each entry becomes d entries, in the columns of its node's components.
+    """
     dim, of_rows = directions.shape[1], jump[rows]
     values = np.repeat(directions, np.diff(of_rows.indptr), axis=0) * of_rows.data[:, None]
     columns = of_rows.indices.astype(np.int64)[:, None] * dim + np.arange(dim)
@@ -168,8 +165,7 @@ def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
 def assemble_B(V: Any, pairs: Sequence[PairOperators]) -> PETSc.Mat:
     """Assemble B: the rows of N and T of all pairs, times sqrt(weight). Collective.
 
-    The multipliers of these rows are stress times sqrt(area): their Euclidean norm is the L2 norm
-    of the stress on the surface, which does not depend on the mesh size.
+    The multipliers are stress times sqrt(area): their Euclidean norm is the L2 norm of the stress.
     """
     blocks = [
         scaled_rows(vstack([pair.N, pair.T], format="csr"), np.sqrt(pair.weights[pair.row_node]))

@@ -35,36 +35,29 @@ from dolfinx_tresca.scene.pair import ContactPair, SideName
 def pair_surfaces(
     V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
 ) -> PairOperators:
-    """Compute N, T and the gap of a single pair; see `pair_group`. Collective."""
-    return pair_group(V, prescribed, PairGroup.from_pairs([pair]), axisymmetric=axisymmetric)[0]
+    """Compute N, T and the gap of a single pair; see `pair_all_surfaces`. Collective."""
+    return pair_all_surfaces(V, prescribed, [pair], axisymmetric=axisymmetric)[0]
 
 
 def pair_all_surfaces(
     V: Any, prescribed: Mask, pairs: Sequence[ContactPair], *, axisymmetric: bool
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of each pair, group by group; see `pair_group`. Collective."""
-    result: dict[int, PairOperators] = {}
-    for group in groups_of(V, pairs):
-        operators = pair_group(V, prescribed, group, axisymmetric=axisymmetric)
-        result.update(zip(group.numbers, operators, strict=True))
-    return [result[number] for number in range(len(pairs))]
-
-
-def pair_group(
-    V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
-) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs, for the present positions of the mesh's nodes. Collective.
+    """Compute N, T and the gap of each pair, at the present positions of the nodes. Collective.
 
     V is a space of vectors of degree 1 or 2; `prescribed` (owned dofs,) tells which degrees of
     freedom a Dirichlet condition prescribes. If `axisymmetric`, integrals are over rings about the
     axis x = 0.
     """
-    undeformed = Undeformed.from_mesh(V, prescribed, group, axisymmetric=axisymmetric)
-    return _pair(V, undeformed, undeformed.sides, displaced=False)
+    result: dict[int, PairOperators] = {}
+    for group in groups_of(V, pairs):
+        undeformed = Undeformed(V, prescribed, group, axisymmetric=axisymmetric)
+        operators = _pair(V, undeformed, undeformed.sides, displaced=False)
+        result.update(zip(group.numbers, operators, strict=True))
+    return [result[number] for number in range(len(pairs))]
 
 
 def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs in the configuration displaced by u. Collective.
+    """Compute N, T and the gap of a group's pairs, displaced by u. Collective.
 
     The gap is the distance between the displaced surfaces; the gap for displacements from the
     undeformed surfaces is this gap plus N u, with the N in the result. `u` (nodes, dim of space) is
@@ -76,49 +69,24 @@ def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[Pa
 def _pair(
     V: Any, undeformed: Undeformed, sides: Sequence[Facets], *, displaced: bool
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of pairs from their facets, see `pair_group`. Collective."""
+    """Compute N, T and the gap of each pair of a group from the facets of its sides. Collective.
+
+    `sides` are as in `Undeformed`; if they are `displaced`, nothing is checked or warned of again.
+    """
     group, comm = undeformed.group, V.mesh.comm
-    pair = group.surfaces
-    owned, partners, primary = sides[0], sides[-1], None
+    pair, primary = group.surfaces, None
     if pair.obstacle is not None:
-        nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, owned), displaced)
+        nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, sides[0]), displaced)
         nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, displaced)
         shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
-        around, across = halos(V, owned, partners, pair.search_limit)
-        if pair.touches_itself:
-            nodes = primary_nodes = _surface_nodes(V, pair, "secondary", across, displaced)
-        else:
-            nodes = _surface_nodes(V, pair, "secondary", around, displaced)
-            primary_nodes = _surface_nodes(V, pair, "primary", across, displaced)
-        facets, primary = nodes.facets, primary_nodes.facets
-
-        def may_meet(facet: Indices, partner: Indices) -> Mask:
-            tags = facets.tag_index[facet], primary.tag_index[partner]
-            return np.asarray(group.pair_of_tags[tags] >= 0)
-
-        with errors_on_all_ranks(comm):
-            selected, limit = at_own_nodes(V, facets), pair.search_limit
-            order = SelfContact(facets) if pair.touches_itself else None
-            rule = may_meet if order is None else order.may_meet
-            overlap = MortarIntegrals(nodes, primary_nodes, selected, limit, rule, order)
-            integrals, shared = overlap, np.isin(nodes.numbers, primary.nodes)
-            if order is not None:
-                shared = redundant_nodes(nodes, overlap.pairs, overlap.opposite)
-        if order is not None:
-            shared = owners_flags(V, nodes.numbers, shared)
+        nodes, primary, integrals, shared = _overlap_integrals(V, group, sides, displaced)
         carries = corners_that_carry(V, nodes, integrals, shared)
     group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, displaced)
-    if pair.pairing == "nodes" and primary is not None and not displaced:
+    if not displaced and pair.pairing == "nodes" and primary is not None:
         _check_meshes_match(V, pair, group_operators, nodes)
     if not displaced and len(group.pairs) > 1:
-        areas = reduce_array(comm, group_operators.shares.sum(axis=0))
-        for single, area in zip(group.pairs, areas, strict=True):
-            if area == 0.0 and single.sliding == "small":
-                raise PairingError(
-                    f"the surfaces of contact pair {single} do not face each other. Check the tags"
-                    f"{'' if single.search_distance is None else ' and the search distance'}."
-                )
+        _check_each_has_area(group, reduce_array(comm, group_operators.shares.sum(axis=0)))
         group.say_laws(comm, group_operators.shares)
     owner = group.owners(group_operators.shares)
     return [
@@ -127,14 +95,60 @@ def _pair(
     ]
 
 
+def _overlap_integrals(
+    V: Any, group: PairGroup, sides: Sequence[Facets], displaced: bool
+) -> tuple[SurfaceNodes, Facets, MortarIntegrals, Mask]:
+    """Integrate over the overlaps of two surfaces, or of a surface with itself. Collective.
+
+    Returns:
+        the secondary nodes and the primary facets that this rank needs; the integrals; and a mask
+        (n,) of nodes without a multiplier, since they are on both sides, or since another node of a
+        surface that touches itself has the same jump.
+    """
+    comm, pair = V.mesh.comm, group.surfaces
+    around, across = halos(V, sides[0], sides[-1], pair.search_limit)
+    if pair.touches_itself:
+        nodes = primary_nodes = _surface_nodes(V, pair, "secondary", across, displaced)
+    else:
+        nodes = _surface_nodes(V, pair, "secondary", around, displaced)
+        primary_nodes = _surface_nodes(V, pair, "primary", across, displaced)
+    facets, primary = nodes.facets, primary_nodes.facets
+
+    def tags_may_meet(facet: Indices, partner: Indices) -> Mask:
+        """Return whether a pair of the group has the tags of two facets, for facets (p,)."""
+        tags = facets.tag_index[facet], primary.tag_index[partner]
+        return np.asarray(group.pair_of_tags[tags] >= 0)
+
+    with errors_on_all_ranks(comm):
+        selected, limit = at_own_nodes(V, facets), pair.search_limit
+        order = SelfContact(facets) if pair.touches_itself else None
+        may_meet = tags_may_meet if order is None else order.may_meet
+        integrals = MortarIntegrals(nodes, primary_nodes, selected, limit, may_meet, order)
+        shared = np.isin(nodes.numbers, primary.nodes)
+        if order is not None:
+            shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
+    if order is not None:
+        shared = owners_flags(V, nodes.numbers, shared)
+    return nodes, primary, integrals, shared
+
+
+def _check_each_has_area(group: PairGroup, areas: Array) -> None:
+    """Raise PairingError if a pair of small sliding has none of the group's `areas` (pairs,)."""
+    for pair, area in zip(group.pairs, areas, strict=True):
+        if area == 0.0 and pair.sliding == "small":
+            raise PairingError(
+                f"the surfaces of contact pair {pair} do not face each other. Check the tags"
+                f"{'' if pair.search_distance is None else ' and the search distance'}."
+            )
+
+
 def _check_meshes_match(
     V: Any, pair: ContactPair, operators: PairOperators, nodes: SurfaceNodes
 ) -> None:
-    """Check that the means over both sides have equal weights, as on matching meshes. Collective.
+    """Raise PairingError unless each secondary node faces one primary node. Collective.
 
-    They are over one node on each side then, and over equal nodes with degree 2. The difference of
-    the sums of their squares is one to two times the distance of the nodes along the surface,
-    relative to the size of a facet.
+    On matching meshes the means at a node have equal weights on both sides. Elsewhere the sums of
+    their squares differ by one to two times the distance of the nodes, in sizes of a facet.
     """
     differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
     apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
@@ -154,32 +168,38 @@ def _check_meshes_match(
 def _surface_nodes(
     V: Any, pair: ContactPair, side: SideName, halo: Facets, displaced: bool
 ) -> SurfaceNodes:
-    """Return the nodes of the facets on a side that this rank pairs. Collective.
+    """Return the nodes of a side's facets, once their normals are checked. Collective.
 
-    The log has a warning if nodes of an undeformed surface coincide, since the surface is torn
-    there. They are sent to the same rank, which counts them. Nodes that also belong to facets with
-    other tags, such as corners of adjacent bricks, and surfaces that touch themselves are left out.
+    `halo` are all facets that the pairing on this rank depends on.
     """
-    comm = V.mesh.comm
-    with errors_on_all_ranks(comm):
-        nodes = SurfaceNodes.from_facets(halo)
-        own = owns(V, nodes.numbers)
-        has_no_normal = own & nodes.has_no_normal
+    with errors_on_all_ranks(V.mesh.comm):
+        nodes = SurfaceNodes(halo)
+        has_no_normal = owns(V, nodes.numbers) & nodes.has_no_normal
         if has_no_normal.any():
             raise PairingError(
                 f"the surface {pair.side(side)} ({side} side) has no normal at "
                 f"{shown_place(nodes.points[has_no_normal][0])}: the normals of the facets around "
                 "that node cancel. Repair the mesh there."
             )
-    if displaced or pair.touches_itself:
-        return nodes
-    diameters = np.linalg.norm(np.ptp(halo.points, axis=1), axis=1)
-    smallest = reduce_array(comm, diameters.min(initial=np.inf), MPI.MIN)
-    tags = pair.facet_tags
+    if not displaced and not pair.touches_itself:
+        _warn_if_torn(V, pair, side, nodes)
+    return nodes
+
+
+def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes) -> None:
+    """Warn if two nodes of a side are at one place, since the surface is torn there. Collective.
+
+    Nodes that also belong to facets with other tags do not count: at the corners of adjacent
+    bricks, nodes of two bodies may coincide.
+    """
+    comm, tags, own = V.mesh.comm, pair.facet_tags, owns(V, nodes.numbers)
     outside = tags.indices[tags.values != getattr(pair, side)]
     outside = fem.locate_dofs_topological(V, tags.dim, outside)
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
     entry = entry[~np.isin(numbers, V.dofmap.index_map.local_to_global(outside))]
+    # equal places, up to a small part of the smallest facet, are sent to one rank by their sum
+    diameters = np.linalg.norm(np.ptp(nodes.facets.points, axis=1), axis=1)
+    smallest = reduce_array(comm, diameters.min(initial=np.inf), MPI.MIN)
     places = np.round(nodes.points[own][entry] / (NEGLIGIBLE * smallest)).astype(np.int64)
     places, _ = exchange(comm, places, places.sum(axis=1) % comm.size)
     coincident = comm.allreduce(len(places) - len(np.unique(places, axis=0)))
@@ -191,4 +211,3 @@ def _surface_nodes(
             *(pair.side(side), side, coincident),
             about=pair.side(side),
         )
-    return nodes

@@ -8,7 +8,7 @@ each rank owns, and are in the order of the ranks that own them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import chain
 from typing import Any
@@ -22,8 +22,8 @@ from dolfinx_tresca._base.arrays import Array, GlobalNumbers, Indices, Mask, cro
 from dolfinx_tresca._base.parallel import exchange, gather_rows
 from dolfinx_tresca.pairing.facets import FACET_ARRAYS, FACING_COSINE, Facets, frames_along
 
-#: Number of lines that are processed at once, which bounds the memory; of pairs of facets four
-#: times as many, and of points and what may hide them 50 times as many.
+#: Number of lines that are processed at once, which bounds the memory; of pairs of facets it is
+#: four times this number, and of points and what may hide them 50 times.
 AT_ONCE = 2048
 
 #: A point's penetration along the normal counts only if the point's least distance from the other
@@ -31,8 +31,7 @@ AT_ONCE = 2048
 #: to the penetration for parallel surfaces, and zero if the normal runs along a face.
 CREDIBLE_PART = 0.1
 
-#: Component of a direction in place of smaller ones and of zero: lines meet planes to which they
-#: are parallel at a distance that is larger than any mesh.
+#: Least component of a direction: lines meet planes to which they are parallel very far away.
 PARALLEL = 1e-30
 
 
@@ -48,23 +47,19 @@ def line_intervals(
 ) -> tuple[Array, Array]:
     """Intersect lines with a box (2, 3), widened on all sides by the reach (n,) of each line.
 
-    The lines have origins (n, 3) and unit directions (n, 3). Return the parameters (n,) at which
-    they enter and leave the box [length]; the first one is the greater one if a line misses the
-    box.
+    Return the parameters (n,) [length] at which lines with origins (n, 3) and unit directions
+    (n, 3) enter and leave the box. A line that misses the box enters later than it leaves.
     """
-    # a line that is parallel to a side of the box meets its plane far away
     slopes = np.where(np.abs(directions) < PARALLEL, PARALLEL, directions)
     at_low = (box[0] - reach[:, None] - origins) / slopes
     at_high = (box[1] + reach[:, None] - origins) / slopes
     return np.minimum(at_low, at_high).max(axis=1), np.maximum(at_low, at_high).min(axis=1)
 
 
-@dataclass(frozen=True)
 class Pieces:
     """Segments, triangles or quadrilaterals that approximate facets.
 
-    If any facet of the surface is curved (`Facets.bent`), each facet is cut into two (in 2D) or
-    four pieces; else each facet is one piece.
+    If any facet is curved (`Facets.bent`), each is cut into two (2D) or four pieces, else into one.
 
     Attributes:
         facet: (n,) the facet of each piece, ascending.
@@ -76,16 +71,7 @@ class Pieces:
         areas: (n,) areas of the pieces, projected onto these planes [length^2, in 2D length].
     """
 
-    facet: Indices
-    nodes: GlobalNumbers
-    points: Array
-    centres: Array
-    radii: Array
-    normals: Array
-    areas: Array
-
-    @classmethod
-    def from_facets(cls, facets: Facets) -> Pieces:
+    def __init__(self, facets: Facets) -> None:
         """Cut facets into pieces."""
         corners = facets.corners_round[None]
         if facets.bent:  # the nodes of each piece, in the order round it
@@ -94,18 +80,19 @@ class Pieces:
             squares = [[0, 4, 8, 5], [1, 6, 8, 4], [3, 7, 8, 6], [2, 5, 8, 7]]
             cells = {"interval": halves, "triangle": triangles, "quadrilateral": squares}
             corners = np.array(cells[facets.cell])
-        points = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
-        nodes = facets.nodes[:, corners].reshape(-1, corners.shape[1])
-        facet = np.repeat(np.arange(len(facets.points)), len(corners))
-        centres = points.mean(axis=1)
+        self.facet = np.repeat(np.arange(len(facets.points)), len(corners))
+        self.nodes: GlobalNumbers = facets.nodes[:, corners].reshape(-1, corners.shape[1])
+        self.points: Array = facets.points[:, corners].reshape(-1, corners.shape[1], 3)
+        self.centres: Array = self.points.mean(axis=1)
+        arms = self.points - self.centres[:, None]
+        self.radii: Array = np.linalg.norm(arms, axis=2).max(axis=1)
         # in 3D the area vector is half the cross product of the diagonals, or of two sides
-        along = points[:, facets.dim] - points[:, 0]
-        across = points[:, -1] - points[:, 1] if facets.dim == 2 else np.array([0.0, 0.0, 1.0])
+        along = self.points[:, facets.dim] - self.points[:, 0]
+        e_z = np.array([0.0, 0.0, 1.0])
+        across = self.points[:, -1] - self.points[:, 1] if facets.dim == 2 else e_z
         vectors = cross(along, across) / facets.dim
-        areas: Array = np.linalg.norm(vectors, axis=1)
-        normals: Array = vectors / (facets.outward[facet] * areas)[:, None]
-        radii = np.linalg.norm(points - centres[:, None], axis=2).max(axis=1)
-        return cls(facet, nodes, points, centres, radii, normals, areas)
+        self.areas: Array = np.linalg.norm(vectors, axis=1)
+        self.normals: Array = vectors / (facets.outward[self.facet] * self.areas)[:, None]
 
     @cached_property
     def frames(self) -> Array:
@@ -123,16 +110,16 @@ class Pieces:
     def on_normals(
         self, centres: Array, normals: Array, radii: Array, limit: Array
     ) -> tuple[Indices, Indices]:
-        """Find the pieces that given balls may meet if they move along their normals.
+        """Find the pieces, as the balls that enclose them, that moving balls meet.
 
-        The balls that enclose the pieces are met. The search advances along a line as far as the
-        distance to the nearest of them allows: the work is proportional to the number of lines
-        times the logarithm of this distance.
-
-        The moving balls have centres (n, 3), unit normals (n, 3), radii (n,) and search distances
+        Balls with centres (n, 3) and radii (n,) move along unit normals (n, 3) by at most `limit`
         (n,) both ways [length]; pieces slightly beyond may be met, too. Return the moving ball (m,)
         of each pair, ascending, and the piece (m,) that it meets.
+
+        The search advances along a line as far as the distance to the nearest piece allows: the
+        work is proportional to the number of lines times the logarithm of this distance.
         """
+        # pairs as single numbers: moving ball times the number of pieces, plus piece
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
             reach = radii + self.radii[members].max()
@@ -154,6 +141,7 @@ class Pieces:
                 covered = place[lines] + np.where(near, r, clear)
                 place[lines] = covered + r
                 lines = lines[covered < end[lines]]
+        # the pairs, each once, whose balls meet indeed
         moving, met = np.divmod(np.unique(np.concatenate(pairs)), max(len(self.centres), 1))
         offset = self.centres[met] - centres[moving]
         along = dots(offset, normals[moving])
@@ -197,6 +185,7 @@ class Pieces:
         # parameter in [0, 1] of the nearest point of each side
         share = np.clip(-dots(corners, along) / dots(along, along), 0.0, 1.0)
         result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
+        # the distance is that from the plane if the point is above the inside of the polygon
         if corners.shape[1] > 2:
             turns = dots(cross(corners, along), normals[:, None])
             projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
@@ -206,8 +195,7 @@ class Pieces:
 
 
 #: Distance from a piece, relative to the radius of the largest piece, within which the second ring
-#: of its neighbours begins: the width of a facet that is cut into pieces (`Pieces`). With half of
-#: it, curved facets at the end of the halo would have other normals than on their own rank.
+#: of its neighbours begins. With half of it, curved facets there would have other normals.
 TWO_RINGS = 4.0
 
 
@@ -245,18 +233,19 @@ def near_lines(
     reach: Array,
     length: Array | float,
 ) -> Facets:
-    """Return this rank's facets and those of all ranks that are close to lines. Collective.
+    """Return this rank's facets and those of all ranks that are close to its lines. Collective.
 
-    Lines have a point (n, 3), a unit direction (n, 3), a reach (n,) within which facets are close,
-    and a length, a number or (n,), both ways [length]; without length they are points.
+    Lines go through points (n, 3) along unit directions (n, 3), by a length, a number or (n,), both
+    ways [length]; without length they are points. Facets within `reach` (n,) of them are close.
     """
     if comm.size == 1:
         return owned
-    pieces = Pieces.from_facets(owned)
+    pieces = Pieces(owned)
     low = pieces.centres.min(axis=0, initial=np.inf)
     high = pieces.centres.max(axis=0, initial=-np.inf)
     box = comm.allgather((np.stack([low, high]), pieces.radii.max(initial=0.0)))
     length = np.broadcast_to(length, len(points))
+    # for each other rank, the lines that meet the box of its facets are sent to it
     chosen = []
     for rank, (corners, radius) in enumerate(box):
         enter, leave = line_intervals(corners, points, directions, reach + radius)
@@ -266,6 +255,7 @@ def near_lines(
     ranks = np.repeat(np.arange(comm.size), [len(indices) for indices in chosen])
     lines = np.column_stack([points, directions, reach, length])[np.concatenate(chosen)]
     lines, source = exchange(comm, lines, ranks)
+    # facets of this rank that received lines meet, and the ranks that sent them
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
     for start in range(0, len(lines), AT_ONCE):
         block = slice(start, start + AT_ONCE)
@@ -277,13 +267,14 @@ def near_lines(
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
-    """Return the facets that this rank owns or gets; send facets (n,) to ranks. Collective."""
+    """Send facets (n,) to ranks (n,); return the own facets and those received. Collective."""
     arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
     count = len(owned.points)
     kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
     records = np.empty(count, dtype=kinds)  # one for each facet: each rank gets a single message
     for name, array in arrays.items():
         records[name] = array
+    # pairs of facet and rank as single numbers, each once, with the pairs of the own rank
     kept = np.arange(count) * comm.size + comm.rank
     facet, rank = np.divmod(np.union1d(kept, facet * comm.size + rank), comm.size)
     rows, _ = exchange(comm, records[facet], rank)
@@ -294,30 +285,32 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
 def with_neighbours(V: Any, owned: Facets) -> Facets:
     """Return all facets at this rank's nodes and two rings around them. Collective.
 
-    A ring are all facets at the corners of facets: `SmoothSurface` depends on two.
+    A ring is all facets at the corners of the facets inside it: `SmoothSurface` depends on two.
     """
-    mine = Pieces.from_facets(facets_at_own_nodes(V, owned))
-    reach = mine.radii + TWO_RINGS * _largest_radius(V.mesh.comm, owned)
-    return near_lines(V.mesh.comm, owned, mine.centres, mine.normals, reach, 0.0)
+    comm, mine = V.mesh.comm, Pieces(facets_at_own_nodes(V, owned))
+    largest = comm.allreduce(Pieces(owned).radii.max(initial=0.0), op=MPI.MAX)
+    reach = mine.radii + TWO_RINGS * largest
+    return near_lines(comm, owned, mine.centres, mine.normals, reach, 0.0)
 
 
 def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Facets, Facets]:
     """Return all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    These are the facets of both sides along the normals of the rank's facets; if these penetrate,
-    the primary facets near them; and two rings around paired facets, see `with_neighbours`. The
-    facets that this rank owns are given, and the search distance [length].
+    The facets of both sides that this rank owns are given, and the search distance [length]. The
+    result has the facets of both sides along the normals of the facets at this rank's nodes; the
+    primary facets near those that penetrate; and two rings around all (`with_neighbours`).
     """
     comm = V.mesh.comm
     if comm.size == 1:
         return secondary, primary
-    mine = Pieces.from_facets(facets_at_own_nodes(V, secondary))
-    rings = TWO_RINGS * max(_largest_radius(comm, side) for side in (secondary, primary))
+    mine = Pieces(facets_at_own_nodes(V, secondary))
+    largest = max(Pieces(side).radii.max(initial=0.0) for side in (secondary, primary))
+    rings = TWO_RINGS * comm.allreduce(largest, op=MPI.MAX)
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far, reach = limit + mine.radii + rings, mine.radii + rings
     lines = mine.centres, mine.normals, reach, far
     around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
-    partners = Pieces.from_facets(across)
+    partners = Pieces(across)
     # if a facet may penetrate deeply, the primary facets around it decide whether it does
     depth: Array = np.zeros(len(far))
     for own, partner in mine.facing(np.arange(len(far)), partners, far):
@@ -330,8 +323,3 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
         joined = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
         across = near_lines(comm, primary, *joined)
     return around, across
-
-
-def _largest_radius(comm: MPI.Comm, facets: Facets) -> float:
-    """Return the radius of the largest piece on any rank [length]. Collective."""
-    return float(comm.allreduce(Pieces.from_facets(facets).radii.max(initial=0.0), op=MPI.MAX))

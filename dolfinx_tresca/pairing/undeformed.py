@@ -1,13 +1,9 @@
-"""The undeformed surfaces of contact pairs: groups of pairs, and the facets with their tags.
-
-Pairs whose sides are parts of the same surfaces are paired together, as a `PairGroup`. `Undeformed`
-has the facets of both surfaces, which are displaced for each later pairing.
-"""
+"""The undeformed surfaces of contact pairs: groups of pairs, and the facets with their tags."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, combinations
 from typing import Any
 
@@ -21,7 +17,7 @@ import basix
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots, real
+from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask, dots, real
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import geometry_degree
 from dolfinx_tresca._base.functions import numbers_in_file, vertex_count, with_owned_values
@@ -50,18 +46,16 @@ from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
 #: Arguments that pairs of a group must have in common.
 COMMON = ("sliding", "search_distance", "pairing", "geometry")
 
-#: Distance of a corner from its surface, relative to the size of the facet, beyond which the
-#: geometry must be wrong. Nodes that could not be snapped to the surface are nearer than this.
+#: Distance of a corner from its surface, relative to the facet, beyond which the geometry must be
+#: wrong. Nodes that could not be snapped to the surface are nearer than this.
 FAR_CORNER = 0.5
 
 
-@dataclass(frozen=True)
 class PairGroup:
     """Pairs that are paired as one pair of surfaces, so that a node has one multiplier.
 
     Attributes:
-        numbers: the position of each pair in the list of the problem.
-        pairs: the pairs.
+        numbers: the position of each pair, of `pairs`, in the list of the problem.
         surfaces: the pair of surfaces with the tags of all pairs, and the law of one of them.
         pair_of_tags: (secondary tags, primary tags) index in `pairs` of the pair between two tags
             of `surfaces`; -1 if there is none, so that facets with these tags are not paired.
@@ -70,41 +64,28 @@ class PairGroup:
             first pair with this rank has the multiplier.
     """
 
-    numbers: tuple[int, ...]
-    pairs: tuple[ContactPair, ...]
-    surfaces: ContactPair
-    pair_of_tags: Indices
-    rank: Indices
-
-    @classmethod
-    def from_pairs(cls, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> PairGroup:
-        """Return the group of some pairs with equal `facet_tags` and arguments `COMMON`."""
-        pattern = pairs[0]
+    def __init__(self, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> None:
+        """Join some pairs, which must have equal `facet_tags` and arguments `COMMON`."""
+        self.pairs, self.numbers, pattern = tuple(pairs), tuple(numbers), pairs[0]
         for pair in pairs[1:]:
-            differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
-            given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
-            if given._cpp_object is not second._cpp_object:
-                differ.append("facet_tags")
-            if differ:
-                raise InputError(
-                    f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
-                    f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
-                )
-        own = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
+            _check_agree(pattern, pair)
+        tags_of_pairs = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
+        # each tag of a side once; an obstacle has no tags, but a column in `pair_of_tags`
         secondary, primary = (
-            list(dict.fromkeys(tag for tags in both for tag in tags))
-            for both in zip(*own, strict=True)
+            list(dict.fromkeys(chain.from_iterable(tags)))
+            for tags in zip(*tags_of_pairs, strict=True)
         )
-        pair_of_tags = np.full((len(secondary), max(len(primary), 1)), -1)
-        for k, (own_tags, tags) in enumerate(own):
+        self.pair_of_tags: Indices = np.full((len(secondary), max(len(primary), 1)), -1)
+        for k, (own_tags, tags) in enumerate(tags_of_pairs):
             columns = [primary.index(tag) for tag in tags] or [0]
-            pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+            self.pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+        # pairs rank like the first pair with the same law; of equally strong laws the earlier wins
         alike = [next(k for k, second in enumerate(pairs) if _same(pair, second)) for pair in pairs]
         strengths = [(*_strength(pairs[k].friction), -k) for k in alike]
-        _, rank = np.unique(strengths, axis=0, return_inverse=True)
-        surfaces = pattern
+        self.rank: Indices = np.unique(strengths, axis=0, return_inverse=True)[1].ravel()
+        self.surfaces = pattern
         if len(pairs) > 1:
-            surfaces = replace(
+            self.surfaces = replace(
                 pattern,
                 facet_tags=pattern.given_tags("secondary")[0],
                 secondary=secondary,
@@ -112,7 +93,6 @@ class PairGroup:
                 gap=None,
                 name="; ".join(map(str, pairs)),
             )
-        return cls(tuple(numbers), tuple(pairs), surfaces, pair_of_tags, rank.ravel())
 
     def owners(self, shares: Array) -> Indices:
         """Return the pair (n,) that has each node's multiplier, by the area (n, pairs) in each."""
@@ -137,6 +117,19 @@ class PairGroup:
                 )
 
 
+def _check_agree(pattern: ContactPair, pair: ContactPair) -> None:
+    """Raise InputError if two pairs of one group differ in an argument that it has in common."""
+    differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
+    given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
+    if given._cpp_object is not second._cpp_object:
+        differ.append("facet_tags")
+    if differ:
+        raise InputError(
+            f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
+            f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
+        )
+
+
 def _same(pair: ContactPair, second: ContactPair) -> bool:
     """Return whether two pairs have the same kind of law, its same arguments, and the same gap."""
     laws = pair.friction, second.friction
@@ -145,9 +138,9 @@ def _same(pair: ContactPair, second: ContactPair) -> bool:
 
 
 def _strength(law: Friction) -> tuple[int, float, float]:
-    """Return the kind of a law, its coefficient and its constant bound, in ascending order.
+    """Return what orders laws by strength: kind, coefficient of friction and constant bound.
 
-    Bounds that are neither numbers nor Constants count as 0.
+    The kind is 2 if bonded, 1 with friction, else 0; bounds that are no numbers count as 0.
     """
     if not isinstance(law, DryFriction):
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
@@ -159,9 +152,9 @@ def _strength(law: Friction) -> tuple[int, float, float]:
 
 
 def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
-    """Return the pairs in groups: pairs that share secondary nodes and a primary body. Collective.
+    """Return the pairs in groups that share secondary nodes and a primary body. Collective.
 
-    Surfaces that touch themselves are groups of their own.
+    With obstacles, it is the same obstacle. Surfaces that touch themselves are groups of their own.
     """
     single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([pair.obstacle is None for pair in pairs])
@@ -176,7 +169,7 @@ def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
         linked &= ~deformable | _shared(V, pairs, compared, "primary", label_bodies(V))
     count, group_of_pair = connected_components(csr_array(linked), directed=False)
     members = [[k for k in range(len(pairs)) if group_of_pair[k] == g] for g in range(count)]
-    return [PairGroup.from_pairs([pairs[k] for k in numbers], numbers) for numbers in members]
+    return [PairGroup([pairs[k] for k in numbers], numbers) for numbers in members]
 
 
 def _shared(
@@ -184,8 +177,8 @@ def _shared(
 ) -> Mask:
     """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
-    Only pairs in `compared` (pairs,), whose side is deformable, are compared: by the bodies of
-    their nodes if these have a label (nodes of V,), else by the nodes.
+    Pairs are compared by the `label` (nodes of V,) of their nodes' bodies, or if it is None by the
+    nodes. Only pairs in `compared` (pairs,) are, whose side is deformable.
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
@@ -195,31 +188,27 @@ def _shared(
         nodes = fem.locate_dofs_topological(V, dim, facets)  # those of facets of other ranks, too
         items = nodes if label is None else np.concatenate(comm.allgather(np.unique(label[nodes])))
         rows.append(np.column_stack([items, np.full(len(items), k)]))
+    # the product counts the common items of two pairs, on this rank
     item, pair = np.concatenate(rows).T
     shape = int(item.max(initial=-1)) + 1, len(pairs)
     incidence = coo_array((np.ones(len(item)), (item, pair)), shape=shape).tocsr()
     return np.asarray(reduce_array(comm, (incidence.T @ incidence).toarray()) > 0.0)
 
 
-@dataclass(frozen=True)
 class Undeformed:
     """The facets of a pair's undeformed surfaces that this rank owns.
 
     Attributes:
         group: the pairs, which are paired together.
-        sides: the facets of each side, the secondary side first. There is only one side if the
-            primary side is a rigid obstacle, or if the surface touches itself.
+        sides: the facets of each side, the secondary side first. An obstacle is no side, and a
+            surface that touches itself is one side.
     """
 
-    group: PairGroup
-    sides: Sequence[Facets]
-
-    @classmethod
-    def from_mesh(
-        cls, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
-    ) -> Undeformed:
-        """Extract the surfaces; for arguments see `pair_group`. Collective."""
-        pair = group.surfaces
+    def __init__(
+        self, V: Any, prescribed: Mask, group: PairGroup, *, axisymmetric: bool = False
+    ) -> None:
+        """Extract the surfaces of a group; for arguments see `pair_all_surfaces`. Collective."""
+        self.group, pair = group, group.surfaces
         names = SIDES[:1] if pair.touches_itself or pair.obstacle is not None else SIDES
         sides = [tagged_facets(V, prescribed, pair, name) for name in names]
         sides = [replace(facets, axisymmetric=axisymmetric) for facets in sides]
@@ -227,7 +216,7 @@ class Undeformed:
             sides = with_offsets(V, pair, sides)
         if pair.touches_itself:
             sides = [replace(sides[0], origins=facet_origins(V, sides[0]))]
-        return cls(group, sides)
+        self.sides = sides
 
     def displaced(self, V: Any, u: Array) -> list[Facets]:
         """Return this rank's facets of each side, moved by u (nodes, dim) [length]. Collective."""
@@ -242,7 +231,7 @@ class Undeformed:
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return the facets of a deformable side that this rank owns; see `pair_group`. Collective."""
+    """Return this rank's facets of a side; check that tags have exterior ones. Collective."""
     mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
     comm, dim = mesh.comm, mesh.topology.dim - 1
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
@@ -265,15 +254,19 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
                 "inside a body: contact needs two surfaces with nodes of their own. Do not merge "
                 "the nodes of the bodies when meshing."
             )
+    return with_checked_areas(comm, _extracted(V, prescribed, facets, tag_index), pair, side)
 
-    dofmap = V.dofmap
+
+def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indices) -> Facets:
+    """Return the facets (n,) of a mesh, which are on its boundary, as `Facets`. Collective."""
+    mesh, dofmap, dim = V.mesh, V.dofmap, V.mesh.topology.dim - 1
+    # the cell of each facet, and the nodes of each side of a cell, as places in the cell's list
     to_cell = mesh.topology.connectivity(dim, dim + 1)
     cells = to_cell.array[to_cell.offsets[facets]]
     kinds = basix.cell.subentity_types(V.element.basix_element.cell_type)[dim]
     cell, sides = kinds[0].name, len(kinds)
     of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
     place = (of_cell[cells] == facets[:, None]).argmax(axis=1)
-    # the nodes of each side of a cell, as places in the list of the cell's nodes
     closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)]
     corners = len(basix.topology(kinds[0])[0])
 
@@ -281,7 +274,6 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
     cell_nodes = dofmap.list[cells]
     nodes = np.take_along_axis(cell_nodes, np.array(closures)[place], axis=1)
     points = x[nodes]
-    middle = x[cell_nodes[:, : vertex_count(V)]].mean(axis=1)
     free = with_owned_values(V, (~prescribed).astype(np.float64)).x.array
     is_free = free.reshape(-1, dofmap.index_map_bs) > 0.5
     numbers = dofmap.index_map.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
@@ -298,18 +290,19 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
         tag_index=tag_index,
         bent=False,
     ).moved_to(points)
+    # the outward side of a facet is the one away from the middle of its cell
+    middle = x[cell_nodes[:, : vertex_count(V)]].mean(axis=1)
     ahead = points[:, :corners].mean(axis=1) - middle
     vectors = result.area_vectors(quadrature(cell, 1)[0])[:, 0]
     result.outward[dots(vectors, ahead) < 0.0] = -1.0
-    return with_checked_areas(comm, result, pair, side)
+    return result
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Check the areas of a side's facets; return them with `bent` set for all ranks. Collective."""
+    """Return facets with `bent` as on all ranks; raise PairingError without area. Collective."""
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
-    # a facet of a surface is compared with its own diameter squared; the length of a facet of a
-    # curve (2D) is its diameter, so it is compared with the largest facet
+    # the area is compared with the own diameter squared; the length (2D) with the largest facet
     expected = diameters**2 if facets.dim == 2 else largest
     empty = facets.areas <= (MESH_ROUNDING + facets.rounding) * expected
     count, total = reduce_array(comm, np.array([empty.sum(), len(empty)]))
@@ -323,11 +316,10 @@ def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: 
 
 
 def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]:
-    """Return the facets of a pair with their `Facets.offsets`. Collective.
+    """Return the sides of a pair with the offsets of the surfaces whose geometry is known.
 
-    The projections of `pair.geometry`, or else of the geometry that the pair's tags know, are
-    evaluated at the nodes of a Lagrange basis of `OFFSET_DEGREE`. Without projections, and with a
-    warning if a geometry fails that the user did not give, the sides are returned unchanged.
+    The geometry is `pair.geometry`, or else the one that the pair's tags know. Without one, or with
+    a warning if that of the tags fails, the sides are returned unchanged. Collective.
     """
     geometry, limit = pair.geometry, FAR_CORNER
     if geometry is None:
@@ -389,15 +381,15 @@ def _offsets_of_tags(
 
 
 def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
-    """Return the `Facets.offsets` of facets by `ExactSurface.projections` onto their surface.
+    """Return the `Facets.offsets` of facets by the projections onto the pieces of their surface.
 
-    A facet belongs to the piece of the surface that is nearest to its corners; of pieces that all
-    corners are on, to the one that is nearest to its centre: a facet at an edge is not projected
-    onto the surface beyond the edge.
+    A facet belongs to the piece that is nearest to its corners; at an edge, where corners are on
+    several pieces, to the one nearest to its centre.
     """
     points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
 
     def offsets(projection: Projection, points: Array) -> Array:
+        """Return vectors (..., 3) from points to their projections; equal points count once."""
         places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
         steps = project_points(places, f"geometry[{tag}]", projection, dim) - places
         return np.asarray(steps[index.ravel()].reshape(points.shape))
@@ -421,8 +413,8 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: i
 def straightened(V: Any, u: Array) -> Array:
     """Return u (nodes, dim) without what would bend edges beyond the degree of the geometry.
 
-    If V has a higher degree, each node that is not at a vertex is moved by the mean displacement of
-    the vertices of its edge, face or cell [length].
+    If V has a higher degree, nodes between vertices get the mean displacement of the vertices of
+    their edge, face or cell [length].
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):

@@ -1,9 +1,8 @@
-"""Which facets may meet: overlaps, the nearest of several layers, what a body hides, self-contact.
+"""Which facets may meet: overlaps, what a body hides, self-contact.
 
 On a surface that touches itself, a point where two facets meet is seen from both, but must be
-constrained only once. So an order of the facets (`SelfContact`) decides which of two is secondary.
-It depends on the undeformed mesh only: the roles are the same in all configurations of finite
-sliding, and on any number of ranks.
+constrained only once. An order of the facets (`SelfContact`) decides which of two is secondary, by
+the undeformed mesh only: so the roles are the same in all positions, on any number of ranks.
 """
 
 from __future__ import annotations
@@ -14,28 +13,26 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, dots
 from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.pairing.facets import FACING_COSINE, MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
-from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces, flattened
+from dolfinx_tresca.pairing.pieces import AT_ONCE, CREDIBLE_PART, Pieces
 
 #: Penetration, relative to the radius of a facet, that is always accepted: facets of curved
 #: surfaces penetrate each other by a part of their size.
 SHALLOW_DEPTH = 0.1
 
-#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. If it were
-#: 1, slight differences in size would decide, and between equal bricks rounding.
+#: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1,
+#: rounding would decide between equal bricks.
 FINER = 2.0**-0.5
-
 #: Direction that orders the facets of one body, parallel to no face of a usual slit: on such a slit
 #: rounding would decide the roles, and most nodes would lose their multipliers.
 ORDER = np.array([0.49, 0.63, 0.60])
 
-#: Two facets of one body that are behind each other count as the two faces of one wall if their
-#: distance is at least this part of that in the undeformed mesh: walls are not compressed so far.
+#: Least distance of the two faces of one wall, relative to that in the undeformed mesh: walls are
+#: not compressed farther.
 WALL_PART = 0.5
 
 
@@ -54,12 +51,9 @@ class Visibility:
     If edges of two bodies overlap, the segment may also run inside both bodies along a face. So x
     is not paired with y if its distance from the primary surface is much smaller than |s|.
 
-    On a surface that touches itself, both sides consist of all facets. A facet in the way of a
-    segment then counts as secondary if it is on the body of x, and as primary otherwise. If x and y
-    are on one body, a segment enters or leaves this body at y, which does not hide y.
-
-    If surfaces touch, crossings within rounding of an end of the segment count as follows: entering
-    counts at x, leaving counts at y.
+    On a surface that touches itself, both sides consist of all facets. A facet in the way counts as
+    secondary if it is on the body of x, else as primary; if x and y are on one body, the facet of y
+    does not hide y. Within rounding of the ends, entering counts at x, and leaving at y.
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
@@ -71,12 +65,9 @@ class Visibility:
     ) -> Mask:
         """Return whether each primary point is hidden from the opposite secondary point, (n,).
 
-        Args:
-            piece: (n,) the secondary piece of each point, ascending.
-            places: (n, d) point in the plane of the piece, relative to its centre [length].
-            start: (n,) height of the secondary side over the plane, along the normal [length].
-            end: (n,) height of the primary side over the plane [length].
-            partner: (n,) the primary piece of each point.
+        Both are on the normal of the secondary `piece` (n,), ascending, through `places` (n, d) in
+        its plane, relative to its centre: the secondary point at the height `start` (n,), and the
+        primary point at the height `end` (n,), on the piece `partner` (n,) [length].
         """
         result, in_one_body = np.zeros((2, len(piece)), dtype=np.bool_)
         if self._body is not None:
@@ -92,7 +83,7 @@ class Visibility:
                 point = apart[crossing]
                 gap = end[point] > start[point]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
-                matters = leaves | gap if own else leaves == gap
+                matters = leaves | gap if own else leaves == gap  # by the rules of the class
                 if own:  # the end of a segment is on its piece, or near it if the facet is curved
                     matters &= ~in_one_body[point] | (facet != partner[point])
                 distance = (height - start[point]) * np.where(gap, 1.0, -1.0)
@@ -106,13 +97,16 @@ class Visibility:
     def _crossings(
         self, own: bool, piece: Indices, places: Array, reach: Array
     ) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
-        """Yield where normals of pieces cross facets of their own or of the other side, in blocks.
+        """Yield where lines through points, along the normals of their pieces, cross facets.
 
-        Facets that hide nothing, and in general those beyond reach, are left out (`_may_hide`). For
-        `piece` (n,) and `places` (n, d) see `hidden`; `reach` (n,) is the largest distance from the
-        plane at which a crossing matters [length]. Yield the normals (m,) that cross a facet; the
-        facets (m,), as pieces of their side; the heights (m,) of the crossings over the planes
-        [length]; and whether both normals point to the same side of the plane (m,).
+        The facets are those of the points' `own` side, or of the other side, that may hide a point
+        (`_may_hide`). For `piece` (n,) and `places` (n, d) see `hidden`; crossings farther from the
+        plane than `reach` (n,) [length] do not matter, and may be missing.
+
+        Yields:
+            for a block of m crossings: the points; the facets, as pieces of their side; the heights
+            over the planes of the points [length]; and whether the normals of the facet and of the
+            piece point to the same side of the plane.
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
@@ -124,8 +118,8 @@ class Visibility:
         line, facet = line[keep], facet[keep]
         corners = pieces.local_coordinates(targets[line], side.points[facet])
         normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
-        # all pairs of a facet and a point of the piece in front of it; the points of the piece
-        # `targets[k]` are the `counts[k]` numbers from `starts[k]` on
+        # All pairs of a facet and a point of the piece in front of it. Points are ordered by piece:
+        # those of the piece `targets[k]` are the `counts[k]` numbers from `starts[k]` on
         pairs = np.cumsum(counts[line])
         blocks = np.flatnonzero(np.diff(pairs // (50 * AT_ONCE))) + 1
         for block in np.split(np.arange(len(line)), blocks):
@@ -143,9 +137,9 @@ class Visibility:
     def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
         """Return whether facets (n,) of one side may hide points of the pieces (n,) below them.
 
-        Segments end at primary facets whose normals are opposed, so these hide nothing. Nor do, of
-        the secondary side, the piece itself, facets in its plane, and facets with a common node and
-        a similar normal, which a segment crosses at its own start.
+        Primary facets whose normals are opposed hide nothing, since segments end there. Facets of
+        the points' `own` side hide nothing if a segment crosses them at its own start: the piece
+        itself, facets in its plane, and facets with a common node and a similar normal.
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         normal, their_normal = pieces.normals[piece], side.normals[facet]
@@ -164,10 +158,9 @@ class Visibility:
         return result
 
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return whether points (n,) penetrate far more than their distance from the primary side.
+        """Return whether the primary side is far nearer to points (n,) than their penetration.
 
-        This is so if the distance is less than `CREDIBLE_PART` times the penetration; of a surface
-        that touches itself only other bodies count. For arguments see `hidden`.
+        The limit is `CREDIBLE_PART`; only other bodies count. For arguments see `hidden`.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -199,10 +192,10 @@ def _around_origin(corners: Array) -> Mask:
 def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
-    Polygons are cut into triangles round their centroid, which depend neither on rounding nor on
-    the order of the corners: (n, a, d) and (n, b, d) of segments (d = 1) or convex polygons (d =
-    2). Return the simplices (m, d + 1, d), their areas (m,) [length^d], and the index (m,) of their
-    pair, ascending.
+    The corners are (n, a, d) and (n, b, d), of segments (d = 1) or convex polygons (d = 2), which
+    are cut into triangles round their centroid: these depend neither on rounding nor on the order
+    of the corners. Return the simplices (m, d + 1, d), their areas (m,) [length^d], and the index
+    (m,) of their pair, ascending.
     """
     low = np.maximum(own.min(axis=1), partners.min(axis=1))
     high = np.minimum(own.max(axis=1), partners.max(axis=1))
@@ -211,6 +204,7 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
         pair = np.flatnonzero(length > 0.0)
         return np.stack([low, high], axis=1)[pair], length[pair], pair
     near = np.flatnonzero((low < high).all(axis=1))  # bounding boxes intersect
+    # each partner is clipped at all sides of its window, which turns counter-clockwise
     windows, polygons = own[near], partners[near]
     clockwise = _cross(windows, np.roll(windows, -1, axis=1)).sum(axis=1) < 0.0
     windows[clockwise] = windows[clockwise, ::-1]
@@ -226,17 +220,16 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     centroid = np.broadcast_to((polygons[:, 0] + offset)[:, None], polygons.shape)
     fans = np.stack([centroid, polygons, following], axis=2)
     areas = 0.5 * np.abs(_cross(polygons - centroid, following - centroid))
-    pair, place = np.nonzero(areas > 0.0)
+    pair, place = np.nonzero(areas > 0.0)  # corners that are repeated have triangles without area
     return fans[pair, place], areas[pair, place], near[pair]
 
 
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
-    """Return the part (n, c, 2) of each convex polygon on the left of its line.
+    """Return the part (n, c, 2) of each convex polygon (n, k, 2) on the left of its line.
 
-    The line goes through `start` (n, 2) along (n, 2). The result has the largest number c of
-    corners (Sutherland and Hodgman 1974); polygons with fewer repeat their last one, and all
-    corners of an empty polygon are equal. If corners coincide up to rounding, a polygon may cross
-    its line more than twice; all crossings are kept.
+    The line goes through `start` (n, 2) along (n, 2) (Sutherland and Hodgman 1974). Polygons with
+    fewer than c corners repeat their last one, and all corners of an empty polygon are equal. A
+    polygon whose corners coincide up to rounding may cross its line more than twice.
     """
     n, corners, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)
@@ -249,6 +242,7 @@ def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     # candidates in turn: a corner, kept if it is inside, and the crossing on the side that follows
     points = np.stack([polygons, crossing], axis=2).reshape(n, 2 * corners, 2)
     dropped = np.stack([~inside, ~crosses], axis=2).reshape(n, 2 * corners)
+    # a stable sort puts the candidates that are kept first, in their order
     count = 2 * corners - dropped.sum(axis=1, keepdims=True)
     place = np.minimum(np.arange(count.max(initial=1)), np.maximum(count - 1, 0))
     candidate = np.take_along_axis(np.argsort(dropped, axis=1, kind="stable"), place, axis=1)
@@ -260,67 +254,11 @@ def _cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def weights_of_nearest(
-    piece: Indices,
-    pair: Indices,
-    simplices: Array,
-    area: Array,
-    places: Array,
-    gap: Array,
-    weight: Array,
-    piece_area: Array,
-) -> Array:
-    """Set the weights of quadrature points to zero where a nearer simplex covers the point.
-
-    Each simplex has the same number of points. Where simplices of two pairs overlap, that with the
-    smaller mean |gap| counts.
-
-    Args:
-        piece: (pairs,) the secondary piece of each pair, ascending.
-        pair: (simplices,) the pair of each simplex, ascending.
-        simplices: (simplices, d + 1, d) corners in the plane of the secondary piece [length].
-        area: (simplices,) areas of the simplices [length^d].
-        places: (points, d) quadrature points in the plane of the secondary piece [length].
-        gap: (points,) gap along the normal [length], positive if open.
-        weight: (points,) quadrature weights, 0 for points that are already excluded.
-        piece_area: (pieces,) areas of all secondary pieces [length^d].
-    """
-    if len(pair) == 0:
-        return weight
-    count = len(places) // len(pair)
-    has_weight = weight.reshape(-1, count).any(axis=1)
-    covered = np.bincount(piece[pair], area * has_weight, minlength=len(piece_area))
-    overlaid = (covered > (1.0 + MISMATCH) * piece_area)[piece[pair]]
-    crowded = np.flatnonzero(overlaid & has_weight)
-    if len(crowded) == 0:
-        return weight
-    inner = places.reshape(-1, count, places.shape[1])[crowded].reshape(-1, places.shape[1])
-    # a tree for the planes of all pieces, far apart along one more axis
-    middles = simplices[crowded].mean(axis=1)
-    reach = np.linalg.norm(simplices[crowded] - middles[:, None], axis=2).max()
-    plane = 4.0 * reach * piece[pair[crowded]]
-    tree = cKDTree(np.column_stack([middles, plane]))
-    points = np.column_stack([inner, np.repeat(plane, count)])
-    point, b = flattened(tree.query_ball_point(points, reach * (1.0 + 1e-9)))
-    a, b, place = crowded[point // count], crowded[b], inner[point]
-    # a point of simplex a is dropped if it lies in a nearer simplex b of another pair
-    distance = np.abs(gap).reshape(-1, count).mean(axis=1)
-    nearer = (pair[a] != pair[b]) & (distance[b] < distance[a])
-    point, a, b, place = point[nearer], a[nearer], b[nearer], place[nearer]
-    sides = np.swapaxes(simplices[b, 1:] - simplices[b, :1], 1, 2)
-    reference = np.linalg.solve(sides, (place - simplices[b, 0])[..., None])[..., 0]
-    # on an edge that two nearer simplices share, the point is in both
-    inside = (reference > -MISMATCH).all(axis=1) & (reference.sum(axis=1) < 1.0 + MISMATCH)
-    result = weight.reshape(-1, count).copy()
-    result[a[inside], point[inside] % count] = 0.0
-    return result.ravel()
-
-
 class SelfContact:
-    """Data that decide which facet of a surface that touches itself is the secondary one.
+    """Decides which facets of a surface that touches itself may meet, and which is secondary.
 
-    They are the columns of `Facets.origins`, with the centre and normal in the undeformed mesh; the
-    nodes at the corners (n, corners); and the `present_centre` (n, 3) and `present_normal` (n, 3).
+    Its attributes are the columns of `facet_origins`, in the undeformed mesh; `present_centre` and
+    `present_normal`; and the nodes at the `corners` (n, corners).
     """
 
     def __init__(self, facets: Facets) -> None:
@@ -331,23 +269,19 @@ class SelfContact:
         self.present_centre = facets.points[:, : facets.corners].mean(axis=1)
         self.present_normal = facets.mean_normals
 
-    def _facing_before(self, facet: Indices, partner: Indices) -> Mask:
-        """Return, for pairs of facets (m,), whether undeformed normals are opposed, (m,)."""
-        return dots(self.normal[facet], self.normal[partner]) < -FACING_COSINE
-
     def may_meet(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the two may come into contact, (m,).
 
         Facets of two bodies may. Those of one body may not if they are neighbours, or the two faces
         of a wall. Neighbours share a corner and, unlike the lips of a crack at its tip, do not face
         each other in the undeformed mesh. Two facets are the faces of a wall if each is behind the
-        other, deeper than facets of curved surfaces penetrate each other (`SHALLOW_DEPTH`) or, if
-        they share a corner, deeper than touching lips (`NEGLIGIBLE`), both in the undeformed mesh
-        and in the present configuration, whose depth must exceed `WALL_PART` of the undeformed one.
+        other, both in the undeformed mesh and at present: deeper than facets of curved surfaces
+        penetrate each other (`SHALLOW_DEPTH`) or, if they share a corner, deeper than touching lips
+        (`NEGLIGIBLE`). The present depth must also exceed `WALL_PART` of the undeformed one.
         """
         f, g = facet, partner
         common = (self.corners[f][:, :, None] == self.corners[g][:, None]).any(axis=(1, 2))
-        neighbours = common & ~self._facing_before(f, g)
+        neighbours = common & (dots(self.normal[f], self.normal[g]) >= -FACING_COSINE)
         shallow = np.where(common, NEGLIGIBLE, SHALLOW_DEPTH) * (self.radius[f] + self.radius[g])
         undeformed = _least_depth(self.centre, self.normal, f, g)
         present = _least_depth(self.present_centre, self.present_normal, f, g)
@@ -357,17 +291,15 @@ class SelfContact:
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
-        For facets of two bodies see `is_secondary_body`. If two facets of one body face each other
-        in the undeformed mesh, as in a slit or a ring, it is the facet whose normal points along
-        `ORDER`; otherwise, as on a folded sheet, the facet that comes first in this direction.
+        Of two bodies see `is_secondary_body`. If two facets of one body face each other in the
+        undeformed mesh, as in a slit, it is the facet whose normal points along `ORDER`; otherwise,
+        as on a folded sheet, the facet that comes first in this direction.
         """
         f, g = facet, partner
         of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
-        towards = np.where(
-            self._facing_before(f, g)[:, None],
-            self.normal[f] - self.normal[g],
-            self.centre[g] - self.centre[f],
-        )
+        faced = dots(self.normal[f], self.normal[g])[:, None] < -FACING_COSINE
+        turned, ahead = self.normal[f] - self.normal[g], self.centre[g] - self.centre[f]
+        towards = np.where(faced, turned, ahead)
         return np.where(self.body[f] == self.body[g], towards @ ORDER > 0.0, of_bodies)
 
 
@@ -387,10 +319,10 @@ def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices)
 
 
 def facet_origins(V: Any, facets: Facets) -> Array:
-    """Return `Facets.origins` of this rank's facets in the undeformed mesh. Collective.
+    """Return `Facets.origins` of this rank's undeformed facets. Collective.
 
-    The columns are the body, the mean size of its facets [length], and the facet's centre (3)
-    [length], outward unit normal (3) and radius [length].
+    The columns are the body, the mean size of its facets, and the facet's centre (3), outward unit
+    normal (3) and radius, all lengths in [length].
     """
     comm = V.mesh.comm
     labels = label_bodies(V)
@@ -406,25 +338,25 @@ def facet_origins(V: Any, facets: Facets) -> Array:
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
-    """Return the nodes (n,) whose jump another node already constrains.
+    """Return a mask (n,) of the nodes whose jump another node of the surface already constrains.
 
     Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
-    secondary on one facet and primary on the next. Both would have the same jump: only the node
-    that comes first in the mesh file has a multiplier, and the second node is returned. A node that
-    is opposite to itself, such as the tip of a crack, has no jump, and is returned. Valid for nodes
-    whose facets are all on this rank. Facets overlap as pairs (p, 2) of a secondary and a primary
-    one, `opposite` (q, 2) with exchanged roles.
+    secondary on one facet and primary on the next. Both would have the same jump: the node that
+    comes first in the mesh file has the multiplier, and the second one is redundant. So is a node
+    that is opposite to itself, such as the tip of a crack, which has no jump. Valid for nodes with
+    all facets on this rank; `paired` and `opposite` are `MortarIntegrals.pairs` and `.opposite`.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
     def rows(pairs: Indices) -> Indices:
-        """Return rows (node, its number in the mesh file, that of an opposite node)."""
+        """Return the rows (node, number in the file, number of an opposite node), each once."""
         own, theirs = pairs.T
         corners, numbers = nodes.facet_nodes[own], in_file[own]
         repeated = (np.repeat(columns, count, axis=1) for columns in (corners, numbers))
         result: Indices = np.stack([*repeated, np.tile(in_file[theirs], count)], axis=2)
         return np.unique(result.reshape(-1, 3), axis=0)
 
+    # rows that occur twice are of nodes that are secondary on one facet and primary on another
     together = np.concatenate([rows(paired), rows(opposite)])
     seen, times = np.unique(together, axis=0, return_counts=True)
     own, theirs = seen[:, 1], seen[:, 2]

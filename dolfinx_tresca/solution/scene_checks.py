@@ -215,7 +215,7 @@ def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps:
     """
     points, normals = in_space(operators.places + jumps), in_space(operators.normals)
     reach = operators.sizes
-    pieces = Pieces.from_facets(near_lines(comm, primary, points, normals, reach, 0.0))
+    pieces = Pieces(near_lines(comm, primary, points, normals, reach, 0.0))
     point, piece = pieces.near(points, reach)
     opposed = dots(normals[point], pieces.normals[piece]) < -FACING_COSINE
     return np.isin(np.arange(len(points)), point[opposed])
