@@ -1,10 +1,9 @@
 """Contact of elastic bodies with Coulomb or Tresca friction, for FEniCSx (DOLFINx).
 
-For readers of the code: each room (folder) begins with a page in its `__init__.py`. The page of
-`dual` follows one solve through all rooms, that of `problem` continues with nonlinear bodies. An
-import goes downwards only: adapt, problem, derivatives, contact, result, output, solution and
-guaranteed, dual, floating, pairing and stiffness and solvers, scene, _base.
-docs/contribute/architecture.md has more.
+For readers of the code: the page in the `__init__.py` of the room (folder) `dual` follows one solve
+through all rooms, that of `problem` continues with nonlinear bodies. Imports go downwards only:
+adapt, problem, derivatives, contact, result, output, solution and guaranteed, dual, floating,
+pairing and stiffness and solvers, scene, _base. See docs/contribute/architecture.md.
 """
 
 import dolfinx_tresca._base.requirements  # first: it loads MPI before DOLFINx

@@ -246,7 +246,7 @@ class MeshCells(Simplices):
         quadratics: the space of vectors that are quadratic in cells.
         dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.
         vertices: (n, d + 1) global numbers of the vertices.
-        facets: (n, d + 1) numbers on this rank of the facets.
+        facets: (n, d + 1) numbers on this rank of the facets, which `facet_map` distributes.
         nodes: (n, d + 1, d + 1) nodes of V on this rank, whose displacements are as in `bernstein`:
             for degree 1 at vertex i, for degree 2 in the middle between the vertices i and j.
         facet_nodes: (n, d + 1, d, d) the nodes of V on each facet, as in `nodes`.
@@ -266,6 +266,7 @@ class MeshCells(Simplices):
         d, count = topology.dim, topology.index_map(topology.dim).size_local
         topology.create_connectivity(d, d - 1)
         topology.create_connectivity(d - 1, d)
+        self.facet_map = topology.index_map(d - 1)
         local, facets = (
             topology.connectivity(d, dim).array.reshape(-1, d + 1)[:count] for dim in (0, d - 1)
         )
@@ -292,9 +293,8 @@ class MeshCells(Simplices):
 
     def facet_sums(self, values: Array) -> Array:
         """Return the sums (facets, a, b) over both sides of values (n, d + 1, a, b). Collective."""
-        index_map = self.V.mesh.topology.index_map(self.d - 1)
         rows = values.reshape(*self.facets.shape, values.shape[2] * values.shape[3])
-        return summed_at_nodes(index_map, self.facets, rows).reshape(-1, *values.shape[2:])
+        return summed_at_nodes(self.facet_map, self.facets, rows).reshape(-1, *values.shape[2:])
 
     def on_sides(self, tractions: Array) -> Array:
         """Return the loading of tractions (facets, d d), which are opposite on both sides."""

@@ -53,8 +53,7 @@ class Stars:
         # Each cell sends its rows for a vertex to the owner of the vertex. Each star has its own
         # tractions, in columns by the number of the facet, and of the vertex among its vertices
         place = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
-        index_map = topology.index_map(d - 1)
-        columns = index_map.local_to_global(facets.ravel()).reshape(facets.shape) * d + place
+        columns = cells.facet_map.local_to_global(facets.ravel()).reshape(facets.shape) * d + place
         firsts = comm.allgather(topology.index_map(0).local_range[0])
         self._owner = np.searchsorted(firsts, cells.vertices.ravel(), side="right") - 1
         columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
@@ -87,9 +86,8 @@ class Stars:
         multipliers = np.empty_like(returned)
         # rows return in the order of the ranks that own the stars
         multipliers[np.argsort(owner, kind="stable")] = returned
-        tractions = (multipliers.ravel() @ self._work).reshape(self._roots.shape[:2])
-        index_map = self._cells.V.mesh.topology.index_map(self._cells.d - 1)
-        return summed_at_nodes(index_map, np.arange(len(tractions)), tractions)[..., None]
+        factors = (multipliers.ravel() @ self._work).reshape(self._roots.shape[:2])
+        return summed_at_nodes(self._cells.facet_map, np.arange(len(factors)), factors)[..., None]
 
     def preconditioned(self, gradient: Array) -> Array:
         """Return a loading without resultants that decreases a quadratic function. Collective.

@@ -1,9 +1,7 @@
 """Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4).
 
-Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory.
-
-Of other packages, the room imports numpy and scipy only: it can be read and tested with dense
-matrices.
+Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory. Of other packages, the
+room imports numpy and scipy only: it can be read and tested with dense matrices.
 
 The problem is given by protocols (`problem.py`): `DualProblem` for b, Lambda and the gradients at
 multipliers, and `Compliance` for A, of which every product is counted. Arrays have the rows of one
