@@ -213,8 +213,7 @@ class ContactSolution(Evaluation, Tabulated):
         sums over all pairs for each body.
 
         Args:
-            point: (d,) reference point of the moments [length]; the point of `body_resultants` by
-                default.
+            point: (d,) reference point of the moments [length], by default of `body_resultants`.
 
         Raises:
             InputError: the point does not have d finite coordinates.
@@ -231,8 +230,7 @@ class ContactSolution(Evaluation, Tabulated):
             body: the body that feels the force: its index in the order of `body_resultants`, or
                 its name in `body_names`.
             other: the body that exerts the force, given in the same way.
-            point: (d,) reference point of the moment [length]; the point of `body_resultants` by
-                default.
+            point: (d,) reference point of the moment [length], by default of `body_resultants`.
 
         Raises:
             InputError: an index belongs to no body, both are equal, or the point does not have d

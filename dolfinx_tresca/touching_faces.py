@@ -52,7 +52,7 @@ class Contacts(Tabulated, list[ContactPair]):
 
     Attributes:
         measures: (secondary, primary) tags -> area, gap and overlap.
-        distance: largest distance of the faces [length].
+        distance: largest distance up to which faces count as touching [length].
     """
 
     def __init__(

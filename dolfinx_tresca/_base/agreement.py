@@ -168,8 +168,7 @@ def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputErr
 def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
     """Yield name and text of a value, and of its parts, but not of distributed data.
 
-    A list of numbers is one value. An object with a method `values_to_agree` says, by names, what
-    is compared.
+    A list of numbers is one value. An object with `values_to_agree` says itself what is compared.
     """
     if hasattr(value, "values_to_agree"):
         items = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}

@@ -24,11 +24,10 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a path in a new folder to write to; then move all files there to the folder of `path`.
+    """Yield a path in a new folder, and then move what is in this folder to that of `path`.
 
-    Nothing is moved after an exception: each file is complete, and a run that fails keeps those
-    of earlier runs. The block writes a file or a folder, and maybe others beside it. Not
-    collective.
+    Nothing is moved after an exception: each file is complete, and a run that fails keeps those of
+    earlier runs. The block writes a file or folder, and maybe others beside it. Not collective.
     """
     with file_named_in_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)

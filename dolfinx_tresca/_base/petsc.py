@@ -43,8 +43,8 @@ class PetscOwner(ABC):
 def free_unused(comm: MPI.Comm) -> None:
     """Free those PETSc objects on a communicator that no rank uses any more. Collective.
 
-    On several ranks petsc4py keeps objects that Python has dropped until this call. For objects on
-    a mesh the communicator is `mesh.comm`.
+    On several ranks petsc4py keeps objects that Python has dropped until this call, and
+    `keep_inner_communicator` its references. For objects on a mesh the communicator is `mesh.comm`.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
@@ -64,8 +64,7 @@ def keep_inner_communicator(comm: MPI.Comm) -> None:
     """Keep PETSc's duplicate of an index map's communicator as long as the latter. Collective.
 
     PETSc frees a duplicate after its last object, and each rank frees vectors on its own: if an
-    exception keeps them on one rank, only the other ranks would make a new duplicate, and wait for
-    ever.
+    exception keeps them on one rank, only other ranks would make a new duplicate, and wait forever.
     """
     if comm.size > 1 and comm.Get_attr(_REFERENCE) is None:
         # a copy of the handle, since DOLFINx keeps the index map as long as its own object exists

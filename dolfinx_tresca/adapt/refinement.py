@@ -46,8 +46,7 @@ def refine(
     leave no hanging nodes. (With the longest edges of tetrahedra alone, two bricks of degree 2 take
     1.4 to 1.9 times as long, and with degree 1 two thirds of the time.) New cells and facets have
     the tags of those that contain them. The new mesh is partitioned anew, with ghost cells if the
-    old mesh had some; on any number of ranks it is the same up to its numbering. The old mesh is
-    unchanged.
+    old mesh, which stays as it is, had some. It is the same on any number of ranks but for numbers.
 
     Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
     this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
@@ -98,8 +97,8 @@ def refine(
     cell_tags = tagged_mesh.cell_tags
     if cell_tags is not None:
         cells, cell_values = bisection.inherited(cell_tags)
-        cell_tags = _with_names(fine, cell_tags, numbers[cells], cell_values)
-    facet_tags = _with_names(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
+        cell_tags = _distributed_tags(fine, cell_tags, numbers[cells], cell_values)
+    facet_tags = _distributed_tags(fine, tagged_mesh.facet_tags, numbers[facets], facet_values)
     if isinstance(facet_tags, NamedTags) and isinstance(cell_tags, NamedTags):
         facet_tags.cell_tags = cell_tags
     return TaggedMesh(fine, cell_tags, facet_tags, dict(tagged_mesh.tags), tagged_mesh.geometry)
@@ -184,21 +183,21 @@ def snapped(
 ) -> Array:
     """Return the nodes (n, 3), with nodes of facets (m, d) moved to their surfaces. Collective.
 
-    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. Nodes of cells that would
-    become flat do not move.
+    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. Nodes of several surfaces
+    are moved to each in turn. Nodes of cells that would become flat do not move.
     """
-    mesh, surface = bisection.mesh, bisection.mesh.geometry.x.copy()
+    mesh, moved = bisection.mesh, bisection.mesh.geometry.x.copy()
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
     for tag, exact in surfaces.items():
         nodes = np.unique(facets[tags == tag])
         if reduce_array(comm, len(nodes)) == 0:
             raise InputError(f"the geometry has facets that there are not: none has the tag {tag}.")
         with errors_on_all_ranks(comm):
-            target = project_points(surface[nodes], f"geometry[{tag}]", exact.project, dim)
+            target = project_points(moved[nodes], f"geometry[{tag}]", exact.project, dim)
         # another rank may know of a node, but of none of its facets
         sums = summed_at_nodes(index_map, nodes, np.column_stack([target, np.ones(len(nodes))]))
-        surface = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), surface)
-    return _without_flat_cells(bisection, surface)
+        moved = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), moved)
+    return _without_flat_cells(bisection, moved)
 
 
 def _without_flat_cells(bisection: Bisection, surface: Array) -> Array:
@@ -254,7 +253,7 @@ def cells_to_refine(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
 
 
 def check_tagged_mesh(tagged_mesh: Any) -> None:
-    """Check that cells can be bisected, and that the tags belong to cells and to facets."""
+    """Check that cells can be bisected, that tags belong to cells and facets, and the geometry."""
     example = "read_gmsh(...) or TaggedMesh(mesh, cell_tags, facet_tags, names)"
     check_type("tagged_mesh", tagged_mesh, TaggedMesh, f"a TaggedMesh, such as {example}")
     mesh = tagged_mesh.mesh
@@ -308,11 +307,11 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
     return values.astype(np.float64)
 
 
-def _with_names(mesh: Any, old: Any, entities: GlobalNumbers, values: LocalNumbers) -> Any:
-    """Return tags of a refined mesh, with the names of tags of the old mesh. Collective.
+def _distributed_tags(mesh: Any, old: Any, entities: GlobalNumbers, values: LocalNumbers) -> Any:
+    """Return tags of a refined mesh, on the ranks that have the entities. Collective.
 
-    Each rank gives some of the entities (n, nodes) and their values (n,), whoever owns them. Their
-    nodes have the numbers with which `create_mesh` got the cells.
+    The names are those of the `old` tags. Each rank gives some of the entities (n, nodes), whoever
+    owns them, and their values (n,). Nodes have the numbers with which `create_mesh` got the cells.
     """
     mesh.topology.create_connectivity(old.dim, 0)
     mesh.topology.create_connectivity(old.dim, mesh.topology.dim)

@@ -118,8 +118,8 @@ class AdaptiveSolution(Tabulated):
             raise ConvergenceError(
                 f"{self.status.value} after {len(self.levels)} mesh(es) with up to "
                 f"{self.levels[-1].free_dofs} unknowns: the error is about {self.error:.1e}, "
-                f"requested {self.accuracy:.1e}. Allow more, request less, or take elements of "
-                "degree 2."
+                f"requested {self.accuracy:.1e}. Allow more meshes or unknowns, request less "
+                "accuracy, or take elements of degree 2."
             )
 
     def _rows(self) -> list[Row]:

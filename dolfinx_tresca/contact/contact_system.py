@@ -354,7 +354,10 @@ class ContactSystem(PetscOwner):
         """Advance the history of the material, if there is one, to a solution. Collective."""
 
     def check_inputs(self, purpose: str) -> None:
-        """Check that loads, laws and gaps are those of the last solve. Collective."""
+        """Check that loads, laws, gaps and obstacles are those of the last solve. Collective.
+
+        That solve must have converged, unless its result was accepted nevertheless.
+        """
         solved = self.solution_for(purpose)
         if self.state.pending and solved.status is not ContactStatus.CONVERGED:
             raise ContactError(
@@ -382,8 +385,8 @@ class ContactSystem(PetscOwner):
         """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
 
         Prescribed overlaps and the reason of a failure are logged. Solutions that have a reason
-        already are not checked. With finite sliding, nor are the first configurations, in which
-        surfaces that come from afar may lie deep inside other bodies.
+        (`sliding`) already are not checked. With finite sliding, only the last configuration is to
+        be checked: in earlier ones, surfaces from afar may lie deep inside other bodies.
         """
         scene_checks.hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
@@ -529,6 +532,6 @@ class ContactSystem(PetscOwner):
 def inputs_changed(purpose: str) -> ContactError:
     """Return the error to raise if inputs have changed since a solution for some purpose."""
     return ContactError(
-        "loads, prescribed values, slip bounds, gaps or coefficients have changed since the "
-        f"solution that {purpose} is for: call solve()."
+        "loads, prescribed values, slip bounds, gaps, coefficients or places of obstacles have "
+        f"changed since the solution that {purpose} is for: call solve()."
     )

@@ -258,7 +258,7 @@ class DataOfSolution:
     def checked_goal(self, goal: Any) -> Goal | ufl.Form:
         """Check a goal that is to be differentiated, and return it. Not collective.
 
-        In forms, the displacement of the solution replaces the `u` of a nonlinear problem.
+        In forms, the solution's unknowns replace the user's u of a nonlinear problem, which moves.
         """
         if not isinstance(goal, ufl.Form):
             dim = self.u.function_space.mesh.geometry.dim
@@ -352,11 +352,11 @@ class DataOfSolution:
         return np.asarray(ends[0] - ends[1])[: owned_size(self.u)]
 
     def derivative(self, form: Any, control: Control, direction: Any = None) -> Any:
-        """Return the derivative of a form by a control; 0 if it does not depend on it. Collective.
+        """Return the derivative of a form by a control, or by u; 0 without dependence. Collective.
 
         Along a direction (values of a Constant, or a Function), this is a number for a form of rank
-        0, and a vector (owned degrees of freedom,) for rank 1. Without a direction, it is a vector
-        of derivatives of a form of rank 0 by each value of a Function that this rank owns.
+        0, and a vector (owned degrees of freedom,) for rank 1. Without a direction, which a
+        Constant needs, it has the derivatives of a form of rank 0 by a Function's owned values.
         """
         if control not in (*form.constants(), *form.coefficients()):
             return 0.0

@@ -3,8 +3,8 @@
 Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory. The jump operator B takes
 displacements to jumps at contact nodes; A = B K^-1 B' takes tractions to jumps. This room makes B,
 A, b and Lambda from pairs, K, load and laws, and bounds errors; the room `solvers` finds the
-minimum. Rows of B are scaled by the roots of the nodes' areas, so that sums of multipliers are
-integrals; physical values are *stresses* and *lengths*.
+minimum. Rows of B are scaled by the roots of the nodes' areas, so that sums of products of
+multipliers are integrals; physical values are *stresses* and *lengths*.
 
 - `JumpOperator`: B with its scales, gaps and rows of each pair; `displaced_jump` pairs displaced
   surfaces anew, and `Carry` takes multipliers from one B to the next.
@@ -26,7 +26,7 @@ integrals; physical values are *stresses* and *lengths*.
 | b, d, s | `DualProgram.b`, `JumpOperator.gap`, `SlipHistory.origin` | b = B K^-1 f - (d; s) |
 | lambda, x | `multipliers`, `x` | pressures and tangential tractions, scaled |
 | r | `DualSolution.gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
-| Lambda, g | `DualProgram.admissible`, `FeasibleSet.radius` | feasible set, slip bounds |
+| Lambda, g | `DualProgram.section_at`, its `radius` | feasible set, slip bounds at a point |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
 | D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
 

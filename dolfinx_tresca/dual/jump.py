@@ -176,21 +176,21 @@ class JumpOperator(PetscOwner):
         # ratio. Discs of rows without friction, which come last, keep the radius 0
         count, roots = len(self.discs.radius), self._root_areas
         ratios, scaled = self._relative_radius, self._relative_radius * roots
-        factors = {"constant": scaled, "coefficient": ratios, "limit": scaled}
-        constant, coefficient, limit = radii = np.zeros((3, count))
-        for (name, factor), result in zip(factors.items(), radii, strict=True):
+        of_discs = {name: np.zeros(count) for name in ("constant", "coefficient", "limit")}
+        for name, result in of_discs.items():
             values = np.concatenate([getattr(bounds, name) for bounds in slip_bounds])
+            factor = ratios if name == "coefficient" else scaled
             np.multiply(values, factor, out=result[: len(roots)], where=factor > 0.0)  # no inf * 0
-        given = dataclasses.replace(self.discs, radius=constant)
+        given = dataclasses.replace(self.discs, radius=of_discs["constant"])
+        coefficient = of_discs["coefficient"]  # positive with a curve, too
         if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
             return given
         root = np.ones(count)
         root[: len(roots)] = np.where(roots > 0.0, roots, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
-        return FrictionCones(
-            **vars(given), coefficient=coefficient, limit=limit, curves=NodalCurves(curves, root)
-        )
+        cones = {"coefficient": coefficient, "limit": of_discs["limit"]}
+        return FrictionCones(**vars(given), **cones, curves=NodalCurves(curves, root))
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of each node's friction ellipse. Collective.
@@ -275,7 +275,7 @@ class JumpOperator(PetscOwner):
 
 
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
-    """Return 1 / diag(K), zero except at free displacements; owned by the caller. Collective."""
+    """Return 1 / diag(K), D in `Lift`, zero except at free displacements; the caller owns it."""
     compliance = system.K.getDiagonal()
     compliance.array = np.divide(
         1.0, compliance.array, where=system.moves, out=np.zeros(len(system.moves))

@@ -76,11 +76,11 @@ def displaced_jump(
 def _bent_primary(
     V: Any, straight_u: Array, u: Array, pair: ContactPair, operators: PairOperators
 ) -> Array:
-    """Return u (nodes, dim of space) with straight edges, except on the primary side. Collective.
+    """Return the displacement (nodes, dim of space) whose N enters the gap. Collective.
 
-    N of the result enters the gap. If the true surface of a side is known, primary edges are
-    straight, too: the height of these surfaces over the facets is kept. So are the edges of an
-    obstacle. Displacements are (nodes, dim of space) [length]; `straight_u` is `straightened` u.
+    On primary nodes this is u. Elsewhere it is `straight_u`, in which nodes between vertices have
+    the mean of the vertices, and it is `straight_u` everywhere if the exact surface of a side is
+    known, whose height over the facets is kept. Displacements are (nodes, dim of space) [length].
     """
     sides = operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:

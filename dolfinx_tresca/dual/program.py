@@ -30,9 +30,8 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 class InitialGuess:
     """First guesses of u = K^-1 (f - B'x): the displacements at x = 0 and at the last multipliers.
 
-    Displacements are arrays of this rank's unknowns. (PETSc's `KSPGuess`, Fischer 1998, would
-    project onto earlier right-hand sides, and planes or lines through earlier points save no Krylov
-    iterations.)
+    Displacements are arrays of this rank's unknowns. (Neither PETSc's `KSPGuess`, Fischer 1998, nor
+    planes or lines through earlier points save Krylov iterations.)
 
     Attributes:
         load: u at x = 0, the displacement without contact.

@@ -24,7 +24,7 @@ class NodalBounds:
 
     Attributes:
         constant: (n,) c [stress].
-        coefficient: (n,) F, the coefficient of friction.
+        coefficient: (n,) F, the coefficient of friction; with a curve, a positive number.
         limit: (n,) l [stress], the upper limit of the part F p; infinite without a limit.
         shape: (n, 2) semi-axes of the friction ellipses along the first axis and across it,
             relative to the longer one, which is these bounds; 1 for circles.
@@ -183,18 +183,20 @@ class SlipBounds:
         """Check that bounds can be evaluated at nodes of this rank. Collective.
 
         Values are checked only of bounds that are plain numbers: others may change before a solve.
+        For `stress_rounding` [stress] see `nodal_bounds`.
 
         Raises:
             InputError: the bound or the direction is on another mesh; a function returns neither a
                 number (or a vector) nor one value for each point; a direction is given in 2D; or a
-                number is negative by more than rounding.
+                number is negative by more than rounding, NaN, or an infinite coefficient.
         """
-        for scalars in _named_scalars(friction).values():
+        for name, scalars in _named_scalars(friction).items():
+            rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
             for field, words in scalars:
-                if real(field) is None:
+                if real(field) is None:  # not a plain number
                     self.values.values_at(field, nodes, words)
                 else:
-                    self._bound(field, nodes, words, stress_rounding)
+                    self._bound(field, nodes, words, rounding)
         if friction.terms.curve is not None:
             zero = np.zeros(len(nodes))  # pressures and slips
             self.check_curve(friction.terms.curve, zero, zero)

@@ -196,11 +196,11 @@ class Bodies:
         """Lower the norm of a stress by tractions that leave cells in equilibrium. Collective.
 
         These are steps of the preconditioned conjugate gradient method (`Stars.preconditioned`), in
-        place in the loading `difference`. They end if a step lowers the squared norm by less than
-        the part `gain` of twice this square or, if that is less, of the decrease so far: for goals
-        the norm is large by itself, and its decrease tells more.
+        place in the loading `difference`. They end if a step lowers the norm by less than the part
+        `gain`, hence its square by less than the part 2 `gain`, or, if that is less, the square by
+        less than the part `gain` of its decrease so far: for goals the norm is large by itself.
         """
-        descent = -self.energies.derivative(difference)
+        descent = -self.energies.derivative(difference)  # minus half the derivative of the square
         square = -float(reduce_array(self.comm, (difference * descent).sum()))
         direction, previous, lowered, total = np.zeros_like(descent), np.inf, square, 0.0
         while lowered > gain * min(total, 2.0 * square) and square > 0.0:

@@ -205,18 +205,18 @@ class StressEnergies:
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the matrices of all cells; compliances are in terms of `symmetric`."""
+        """Compute the matrices of all cells; `compliance` (n, k, k) is in terms of `symmetric`."""
         n, corners, d = cells.points.shape
-        frames = cells.frames @ np.linalg.inv(_regular_frame(d))
-        maps = np.einsum("nia,njb->nabij", frames, frames).reshape(n, d * d, d * d)
-        maps = symmetric(d).T @ maps @ symmetric(d)
+        from_regular = cells.frames @ np.linalg.inv(_regular_frame(d))
+        maps = np.einsum("nia,njb->nabij", from_regular, from_regular).reshape(n, d * d, d * d)
+        maps = symmetric(d).T @ maps @ symmetric(d)  # transposed
         pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
         self._matrices = np.tensordot(pulled, stress_products(d), 2)
-        # the stress is B S B' with the reference stress S, whose loading is B^-1 times as large,
-        # with tractions S grad lambda_j
+        # stresses S of the regular simplex become B S B'; tractions S grad lambda_j, with the
+        # barycentric lambda_j and the height h_j, become B S B'n = -h_j B S grad lambda_j
         self._scales = np.ones((n, corners, corners, 1))
         self._scales[:, :, :d] = -1.0 / cells.heights[:, :, None, None]
-        self._inverses = np.linalg.inv(frames)
+        self._inverses = np.linalg.inv(from_regular)
 
     def derivative(self, loading: Array) -> Array:
         """Return half the derivative (n, d + 1, d + 1, d) of the squared norms."""

@@ -26,7 +26,8 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     """Return the elasticity tensors of a form a(w, v) in each cell. Collective.
 
     For each matrix G with a single entry 1, w = G x gives forces a(w, v) on quadratic displacements
-    v of each cell. The mean stresses of these forces, for symmetric G, are the tensor.
+    v of each cell. The mean stresses of these forces, for symmetric G, are the tensor. An
+    InputError is raised if the tensors do not explain all forces.
 
     Returns:
         the tensors (n, d * d, d * d), their inverses (n, k, k) in terms of `symmetric`, and their
@@ -43,10 +44,10 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
         results.append(fem.assemble_vector(work).array.reshape(-1, d)[cells.dofs])
     # forces (n, d * d, k, d) on the nodes of a cell for each G, divided by the cell's volume
     forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]
-    # a mean stress is the work on linear functions
+    # a mean stress is the work of the forces, whose sum is zero, on linear functions
     places, basis, _ = lagrange(corners)
-    nodes = places @ (cells.points - cells.points[:, :1])
-    stresses = np.swapaxes(forces, 2, 3) @ nodes[:, None]
+    offsets = places @ (cells.points - cells.points[:, :1])
+    stresses = np.swapaxes(forces, 2, 3) @ offsets[:, None]
     moduli = symmetric(d).T @ stresses.reshape(n, d * d, d * d) @ symmetric(d)
     stiffness = symmetric(d) @ moduli @ symmetric(d).T
     least = np.linalg.eigvalsh(moduli)[:, 0]

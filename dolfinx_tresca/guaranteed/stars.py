@@ -31,8 +31,7 @@ class Stars:
     def __init__(self, cells: MeshCells, stiffness: Array, free: Mask) -> None:
         """Factor the equations of all stars. Collective.
 
-        Tractions on facets have energies (n, d + 1, d * d, d * d), and are `free` (n, d + 1, d)
-        along axes.
+        Facets' tractions have energies (n, d + 1, d * d, d * d); those `free` (n, d + 1, d) change.
         """
         d, comm, topology = cells.d, cells.V.mesh.comm, cells.V.mesh.topology
         self._cells, (n, corners) = cells, cells.facets.shape

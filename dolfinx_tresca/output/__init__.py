@@ -2,8 +2,7 @@
 
 A `Grid` is one mesh with its fields in VTK's layout, gathered on the first rank (`gather_grid`):
 the volume, or the surface of a pair (`grids_of`). Files, pictures and `to_pyvista` are made of
-grids; a `.pvd` lists the grids of each step of a series, and a step does not exist until the list
-names it.
+grids. A `.pvd` lists the grids of each step of a series; a step exists once the list names it.
 
 A picture is a figure of matplotlib with a *panel* for the bodies and one for each pair. pyvista
 renders the *views* of bodies and surfaces, matplotlib draws all text and the chart of a contact

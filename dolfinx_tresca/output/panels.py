@@ -253,7 +253,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     theme.allow_empty_mesh, theme.show_scalar_bar = True, False
     with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
-        # the scale at which all points are in the view, with a margin
+        # the scale, half the height of the view, at which all points are in it, with a margin
         right = np.cross(up, normal)
         directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
@@ -266,7 +266,7 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
-    # the image, and arrows for the coordinate axes that are not seen end on
+    # the image, and arrows of 21 points for the coordinate axes, except those seen end on
     view = axes_at(panel, 0.0, FOOTER, width, height)
     view.imshow(image, aspect="auto", interpolation="none")
     view.set_axis_off()

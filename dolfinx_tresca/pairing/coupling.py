@@ -348,7 +348,7 @@ def redistribution(receives: Mask) -> Array:
 def assemble_rows(
     nodes: SurfaceNodes, rows: Indices, columns: GlobalNumbers, values: Array, width: int
 ) -> Any:
-    """Assemble blocks (n, corners, k), one for each facet, into a sparse matrix (nodes, width).
+    """Assemble blocks (n, corners, k) of facets, or pairs of them, into a matrix (nodes, width).
 
     The rows (n, corners) are indices in `nodes`, the columns (n, k) are global. Entries that are
     rounding errors (`ENTRY_ROUNDING`) are left out.

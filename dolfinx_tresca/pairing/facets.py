@@ -302,9 +302,9 @@ class SurfaceNodes:
     def __init__(self, facets: Facets) -> None:
         """Find the nodes at the corners of facets, and their smooth patches."""
         self.facets, corners = facets, facets.corners
-        unique, node = np.unique(facets.nodes[:, :corners], return_inverse=True)
-        normals, spread = _corner_normals(facets)
-        patch, node_of_patch = smooth_patches(node.ravel(), normals.reshape(-1, 3))
+        unique, node_of_corner = np.unique(facets.nodes[:, :corners], return_inverse=True)
+        normals, normal_weights = _corner_normals(facets)
+        patch, node_of_patch = smooth_patches(node_of_corner.ravel(), normals.reshape(-1, 3))
         x, w = quadrature(facets.cell, 2 * facets.degree + 2)
         corner_weights = facets.area_elements(x) @ (facets.hats(x) * w[:, None])
         # an entry is a patch; entries are sorted by node, then by the weight of the patch
@@ -312,13 +312,14 @@ class SurfaceNodes:
         order = np.lexsort((weights, node_of_patch))
         self.weights: Array = weights[order].astype(np.float64)
         self.numbers: GlobalNumbers = unique[node_of_patch[order]]
-        self.facet_nodes: Indices = np.argsort(order)[patch].reshape(-1, corners)
-        vectors = self.reduced(np.add, spread[:, :, None] * normals, 0.0)
-        lengths = self.reduced(np.add, spread, 0.0)
+        entry_of_patch = np.argsort(order)
+        self.facet_nodes: Indices = entry_of_patch[patch].reshape(-1, corners)
+        vectors = self.reduced(np.add, normal_weights[:, :, None] * normals, 0.0)
+        total_weights = self.reduced(np.add, normal_weights, 0.0)
         corner = np.unique(self.facet_nodes, return_index=True)[1]  # any corner at each entry
         self.points: Array = facets.points[:, :corners].reshape(-1, 3)[corner]
         self.free: Mask = facets.free.reshape(-1, facets.free.shape[2])[corner]
-        self.has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * lengths
+        self.has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * total_weights
         # any unit vector for the error message's sake
         vectors[self.has_no_normal] = np.eye(3)[0]
         self.normals = free_normals(vectors, self.free)

@@ -83,7 +83,9 @@ class Visibility:
                 point = apart[crossing]
                 gap = end[point] > start[point]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
-                matters = leaves | gap if own else leaves == gap  # by the rules of the class
+                # own side: leaving hides, in a gap entering, too; other side: leaving a body hides
+                # in a gap, entering one where bodies overlap
+                matters = leaves | gap if own else leaves == gap
                 if own:  # the end of a segment is on its piece, or near it if the facet is curved
                     matters &= ~in_one_body[point] | (facet != partner[point])
                 distance = (height - start[point]) * np.where(gap, 1.0, -1.0)

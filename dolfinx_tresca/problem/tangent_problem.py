@@ -422,11 +422,11 @@ class TangentProblem(ContactSystem):
     def rounding_norm(self) -> float:
         """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
 
-        It is `ROUNDING` sqrt(n u_k'D u_k + |x|_K^2), with the diagonal D of K in rows of
-        displacements, the mean number n of entries in a row, and the position x. A force is the sum
-        of n terms of the size D_i |u_i|, whose rounding adds up to sqrt(n) times that of one; and
-        (K^-1)_ii >= 1 / D_i. Stresses that depend on the gradient of x + u_k are rounded as if the
-        strains had the size 1.
+        It is `ROUNDING` sqrt(n u_k'D u_k + |X|_K^2), with the diagonal D of K in rows of
+        displacements, the mean number n of entries in a row, and the position X. A force is the sum
+        of n terms of the size D_i |u_i|, whose rounding adds up to sqrt(n) times that of one; as
+        (K^-1)_ii >= 1 / D_i, the norm is at least the first term. Stresses that depend on the
+        gradient of X + u_k are rounded as if X, whose gradient is 1, were a displacement.
         """
         K, moves = self.tangent.K, self.tangent.moves
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]

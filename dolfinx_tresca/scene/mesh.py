@@ -415,8 +415,7 @@ def _check_facets(model: Any, path: Path) -> None:
     """Check that facets with tags are faces of cells with tags, and have one tag each.
 
     Without this check, DOLFINx would abort all ranks if a facet had nodes of no cell, such as a
-    facet of a body that is in no physical group, and would ignore other facets that are not faces
-    of a cell.
+    facet of a body that is in no physical group, and ignore other facets that are no cell's faces.
     """
     mesh, dim = model.mesh, model.getDimension()
     (cell,) = mesh.getElementTypes(dim)

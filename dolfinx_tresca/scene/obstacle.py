@@ -468,8 +468,7 @@ def _constants_of(*values: Any) -> list[fem.Constant]:
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
     """Return distances (n,) and normals (3, n) of a sphere or a cylinder.
 
-    The offsets (3, n) of points are from the centre or the axis [length]; a `hollow` obstacle is
-    the outside.
+    The offsets (3, n) of points are from its centre or axis [length]; if `hollow`, it is outside.
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0

@@ -11,7 +11,8 @@ from the user's call through these algorithms to the table.
 - `ModelNewton`: the default method. A *model* M equals A where products are known; Newton's method
   solves the problem with M, and the step to its solution takes one product, which improves M.
   Coulomb's law runs in the same loop, without a fixed-point iteration around it: Newton's method
-  follows the bounds, and the energy need not decrease from step to step.
+  follows the bounds, and the residual, which projects onto `section_at(x, r)`, measures how far
+  bounds and pressures belong together. The energy need not decrease from step to step.
 - `Iterate`: the present multipliers and their gradient, which is only as accurate as a step needs.
 - `FeasibleSet` is Lambda for given slip bounds, `FrictionCones` where bounds depend on pressure or
   slip. The *section* of the cones at a point (`DualProblem.section_at`) is the Lambda of Tresca's
@@ -22,7 +23,7 @@ from the user's call through these algorithms to the table.
   and `NodalMaps` are the sparse matrices of its steps.
 - `interior_point`: a further guess for Newton's method if A is known, by `SecondOrderCones`.
 - `EqualityConstraints`, `balance`: equilibrium of floating bodies, and a start that satisfies it.
-- `NaturalResidual`, `History`: the measure and the criteria of convergence.
+- `NaturalResidual`, `History` (`convergence.py`): the measure and the criteria of convergence.
 - `paper.py`: the four algorithms of the paper.
 
 | symbol | name in the code | meaning |

@@ -88,9 +88,9 @@ class NaturalResidual:
     def is_limited_by_rounding(self, residual: float) -> bool:
         """Return whether rounding may keep a residual from decreasing. Not collective.
 
-        This is possible if the residual is small compared with its scale or with b. The size of b
-        matters if the loads move the bodies much less than the width of a gap: then the scale
-        follows from the loads, but rounding errors follow from the gap.
+        This is possible if the residual is small compared with its scale, or with the terms of b
+        before they cancel. These matter if the loads move bodies much less than the width of a gap:
+        open gaps do not enter the scale, but have rounding errors.
         """
         return residual <= EXHAUSTED * max(self.scale, self._terms)
 

@@ -1,4 +1,4 @@
-"""The multipliers that laws of contact and friction allow. Numpy only.
+"""The multipliers that laws of contact and friction allow. Numpy and scipy only.
 
 `FeasibleSet` is Lambda for given slip bounds, with its projection and its faces; in `FrictionCones`
 bounds depend on pressure and slip. All functions are local to a rank.
@@ -178,10 +178,10 @@ class FeasibleSet:
     @cached_property
     def _pattern(self) -> csr_array:
         """The sparsity (size, size) of `nodal_matrix`."""
-        size, has_normal = self.size, np.flatnonzero(self.normal_of >= 0)
+        size, with_normal = self.size, np.flatnonzero(self.normal_of >= 0)
         # multipliers of a node have the number of its disc, all others a number of their own
         number = np.arange(size) + len(self.radius)
-        number[self.tangential], number[self.normal_of[has_normal]] = self.node, has_normal
+        number[self.tangential], number[self.normal_of[with_normal]] = self.node, with_normal
         entries = np.ones(size), number, np.arange(size + 1)
         member = csr_array(entries, shape=(size, size + len(self.radius)))
         pattern = csr_array(member @ member.T)
@@ -336,10 +336,10 @@ class FrictionCones(FeasibleSet):
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
 
         Slips are the norms of the tangential parts of r. If the end `target` (size,) of a gradient
-        step from x is given, the slip of a node counts as zero where friction at rest would hold
-        the node at `target`, unless its friction decreases at the present slip.
-        Bodies are at rest before they slide: for a coefficient that falls steeply, Newton's method
-        would else find the solution in which they slide.
+        step from x is given, the slip of a node counts as zero where the bound at rest would hold
+        the node at `target`, except while the bound falls at the present slip. So a node beyond the
+        fall of a curve is tried at rest, where bodies are before they slide; Newton's method would
+        else find the solution in which they slide.
         """
         if not self.curves.of_discs:
             return self
@@ -399,9 +399,10 @@ class FrictionCones(FeasibleSet):
         return self.nodal_matrix(diagonal, (normal, of_pressure), (radial, of_radius))
 
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
-        """Return dg/dp and dg/dv (2, n_discs) at x for the bounds g = c + F(p, v) p.
+        """Return dg/dp and dg/dv (2, n_discs), at the pressures of x and the slips `slip`.
 
-        Slopes are zero outside of the mask `where` (n_discs,), and where F p exceeds its limit.
+        The bounds are g = c + min(F(p, v) p, l). Slopes are zero outside of the mask `where`
+        (n_discs,), and where F p exceeds its limit.
         """
         pressure = self.of_normals(x)
         coefficient = self._coefficients(pressure)

@@ -256,12 +256,13 @@ class ModelNewton:
                 store.add(b, self.problem.compliance.apply(b))
 
     def choose_start(self, start: Array) -> NewtonPoint | None:
-        """Begin at the start, or at zero if the residual is larger at the start. Collective.
+        """Set `iterate`, `residual`, `history`; return what `find_constraint_multipliers` returns.
 
-        A load step with bounds that depend on the pressure always begins at the start. There may be
-        several fixed points, and a process continues with the nearest one. For example, friction
-        keeps a wedge in place after the force that pushed it in is removed, although zero tractions
-        satisfy the law of friction as well. The result is that of `find_constraint_multipliers`.
+        The iterate is the start, or zero if the residual is larger at the start. A load step with
+        bounds that depend on the pressure always begins at the start: of several fixed points, a
+        process continues with the nearest one. For example, friction keeps a wedge in place after
+        the force that pushed it in is removed, although zero tractions satisfy the law of friction
+        as well. Collective.
         """
         problem, constraints = self.problem, self.problem.constraints
         # the scale of residuals, at zero; b is computed again if its error might hide a pressure
@@ -280,12 +281,12 @@ class ModelNewton:
         if norm(problem, start) > 0.0:
             iterate.set_point(start)
         target = self.find_constraint_multipliers()
-        if self.options.rtol:
+        if self.options.rtol:  # gradients need not be more accurate than the requested residual
             iterate.finest = FORCING * self.history.residual_error
         # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
-                residual.count(iterate.r + problem.b)  # A x
+                residual.count(iterate.r + problem.b)  # the scale is at least |A x|
             else:
                 iterate.return_to_zero()
                 residual.set_constraint_multipliers(iterate.c)
@@ -354,7 +355,7 @@ class ModelNewton:
         return ContactStatus.NO_FIXED_POINT
 
     def complete_products(self) -> bool:
-        """Compute A unless it is known or too large; return whether it was computed. Collective."""
+        """Compute A unless it is known or too large; return whether it is new. Collective."""
         is_known = isinstance(self.iterate.store, WholeModel)
         if is_known or not self.problem.compliance.complete_products():
             return False

@@ -50,8 +50,8 @@ def ssn(run: Run) -> DualSolution:
 def mssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM MSSN (section 38.3.1), with accurate inner solves.
 
-    The inner CG iterations end at 1e-12 times the residual at the start. It converges fast if most
-    nodes stick, but need not converge; if it does, the limit is the solution (Lemma 38.1).
+    The inner CG iterations end at 1e-12 times the residual at the start. MSSN converges fast if
+    most nodes stick, but need not; if it converges, the limit is the solution (Lemma 38.1).
     """
     return run.iterate(run.symmetrized_step, lambda: 1e-12 * run.history.residual_norms[0])
 
@@ -110,6 +110,7 @@ class Run:
     Attributes:
         history: the record, with rho from an estimate of sigma_max.
         x: (size,) multipliers, maybe outside of Lambda.
+        r: (size,) their gradient A x - b.
     """
 
     def __init__(
@@ -120,7 +121,7 @@ class Run:
         residual = NaturalResidual(problem, options.step_factor / largest_eigenvalue(problem))
         self.problem, self.options = problem, options
         self.history = History(problem, options, observe, residual)
-        self.feasible_set = problem.section_at(start, -problem.b)
+        self.feasible_set = problem.section_at(start, -problem.b)  # the same at any point
         self.x = self.feasible_set.project(start)
         self.r = gradient(problem, self.x)
         if residual.norm_at(Point(self.x, np.empty(0), self.r)) > residual.scale:

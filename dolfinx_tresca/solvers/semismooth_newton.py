@@ -87,9 +87,9 @@ class SemismoothNewton:
     radius of the disc, the radial component of s solves s = Q s + h (change of v), h = dg/dv.
 
     Residuals are energies: those of multipliers are weighted by the root of D, those of a
-    constraint by its compliance, the sum of G^2 / D. A step is halved until it reduces the residual
-    by a tenth of what it promises. If no part of a step does, contact on this face holds some
-    bodies only weakly, or not at all: then S is softened for the steps that follow, as in the
+    constraint by the sum of G^2 / D (`constraint_scale`). A step is halved until it reduces the
+    residual by a tenth of what it promises. If no part of a step does, contact on this face holds
+    some bodies only weakly, or not at all: then S is softened for the steps that follow, as in the
     method of Levenberg and Marquardt. After good steps, S is stiffened again. Methods are
     collective, and need no product with A.
     """
@@ -100,17 +100,17 @@ class SemismoothNewton:
         self.mean_diagonal = problem.admissible.mean_over_discs(model.model_diagonal)
         self.rho = np.asarray(RHO_DIAGONAL / self.mean_diagonal)
         ones, G = np.ones_like(self.mean_diagonal), problem.constraints.columns
-        sums = [float(problem.inner(ones, values)) for values in (self.mean_diagonal, ones)]
-        self.softness = PROXIMAL * sums[1] / sums[0] if sums[0] > 0.0 else 0.0  # of the first step
-        compliance = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) of each constraint
-        self.compliance = np.where(compliance > 0.0, compliance, 1.0)
-        self.load = self.energy(self.rho * problem.b, problem.constraints.values)  # residual at 0
+        total, size = (float(problem.inner(ones, v)) for v in (self.mean_diagonal, ones))
+        self.softness = PROXIMAL * size / total if total > 0.0 else 0.0  # of the first step
+        scale = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) of each constraint
+        self.constraint_scale = np.where(scale > 0.0, scale, 1.0)
+        self.load = self.energy(self.rho * problem.b, problem.constraints.values)
         self.rounding = ROUNDING * self.load
 
     def energy(self, change: Array, unbalanced: Array) -> float:
         """Return the norm of the residuals `change` (size,) and `unbalanced` (k,) as an energy."""
         square = float(self.problem.inner(change, self.mean_diagonal * change))
-        return float(np.sqrt(square + unbalanced @ (unbalanced / self.compliance)))
+        return float(np.sqrt(square + unbalanced @ (unbalanced / self.constraint_scale)))
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
         """Return a point (x, c, r) whose `residual` is that of its projection onto the cones."""
