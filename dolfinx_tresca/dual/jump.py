@@ -189,8 +189,8 @@ class JumpOperator(PetscOwner):
         root[: len(roots)] = np.where(roots > 0.0, roots, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
-        cones = {"coefficient": coefficient, "limit": of_discs["limit"]}
-        return FrictionCones(**vars(given), **cones, curves=NodalCurves(curves, root))
+        rows = given.size, given.normal, given.tangential, given.node, given.radius, given.normal_of
+        return FrictionCones(*rows, coefficient, of_discs["limit"], NodalCurves(curves, root))
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of each node's friction ellipse. Collective.
