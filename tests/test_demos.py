@@ -53,19 +53,9 @@ RUNS: dict[str, tuple[int, Callable[[MPI.Comm], Scene] | None]] = {
 
 #: Demos of many solves: `make docs` runs them too.
 SLOW = (
-    "arch",
-    "bearing",
-    "flange",
-    "calibration",
-    "fretting",
-    "press_fit",
-    "implant",
-    "floating_block",
-    "impact",
-    "indentation",
-    "ironing",
-    "roller_profile",
-)
+    "arch bearing flange calibration fretting press_fit implant floating_block impact indentation "
+    "ironing roller_profile"
+).split()
 
 #: Normal forces on one rank of demos that have no scene and run on several ranks too.
 FORCES = {"shrink_fit_thermal": 2181.4411}

@@ -38,17 +38,8 @@ sys.path.insert(0, str(DOCS))
 from extensions.cells import blocks, cells_of  # noqa: E402
 
 #: What commands of pages begin with, beside make and tools/: not all of them are on any machine.
-PROGRAMS = {
-    "add-apt-repository",
-    "apt-get",
-    "conda",
-    "docker",
-    "mpirun",
-    "pip",
-    "python",
-    "python3",
-}
-PROGRAMS |= {"~/contact/bin/pip"}
+PROGRAMS = {"~/contact/bin/pip", *"add-apt-repository apt-get conda docker mpirun pip".split()}
+PROGRAMS |= {"python", "python3"}
 
 
 #: Packages whose code on pages is run where they are installed.

@@ -6,6 +6,7 @@ import ast
 import doctest
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -91,20 +92,23 @@ def test_summaries_and_entries_can_be_read_alone():
 
 
 def test_pages_of_rooms_name_what_exists():
+    """A name is in the code of the class or module before it; a private one in its own room."""
     package = Path(dolfinx_tresca.__file__).parent
-    files = list(package.rglob("*.py"))
-    names = {name for file in files for name in file.relative_to(package).with_suffix("").parts}
-    names.add("pvd")
-    for file in files:
-        for node in ast.walk(ast.parse(file.read_text())):
-            for attribute in ("name", "arg", "attr", "id", "value"):
-                name = getattr(node, attribute, None)
-                names.update([name] if isinstance(name, str) else [])
-    missing = [
-        f"{page.parent.name}: {word}"
-        for page in package.rglob("__init__.py")
-        for words in re.findall(r"`([\w.]+)`", ast.get_docstring(ast.parse(page.read_text())) or "")
-        for word in words.removesuffix(".py").split(".")
-        if word and word not in names
-    ]
+    sources = {file: file.read_text() for file in package.rglob("*.py")}
+    code_of: dict[str, str] = {}
+    for file, source in sources.items():
+        code = source if file.name != "__init__.py" else ""
+        for name in (file.stem, *file.relative_to(package).parts[:-1], ""):
+            code_of[name] = code_of.get(name, f"{name} py pvd") + f" {file.stem} {code}"
+        for node in ast.parse(source).body:
+            if isinstance(node, ast.ClassDef):
+                code_of[node.name] = code_of.get(node.name, "") + ast.unparse(node)
+    missing = []
+    for page in (file for file in sources if file.name == "__init__.py"):
+        for words in re.findall(r"`([\w.]+)`", ast.get_docstring(ast.parse(sources[page])) or ""):
+            for owner, name in pairwise(["", *words.strip(".").split(".")]):
+                is_private = name.startswith("_") and not owner
+                code = code_of.get(page.parent.name if is_private else owner, code_of[""])
+                if not re.search(rf"\b{name}\b", code):
+                    missing.append(f"{page.parent.name}: {words}")
     assert not missing, f"no such names in the package: {missing}"

@@ -396,20 +396,12 @@ def test_a_picture_without_a_display_prints_nothing() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
-def test_no_pyvista(
-    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyvista", None)
-    with pytest.raises(ContactError, match="pyvista"):
-        solution.plot(folder / "bricks.png")
-
-
-def test_no_matplotlib(
-    folder: Path, flat: ContactSolution, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.style", None)
-    with pytest.raises(ContactError, match="matplotlib"):
-        flat.plot(folder / "flat.png")
+def test_a_missing_library_is_named(folder: Path, solution, flat, monkeypatch) -> None:
+    for plotted, module in ((solution, "pyvista"), (flat, "matplotlib.style")):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(ContactError, match=module.split(".")[0]):
+            plotted.plot(folder / "bricks.png")
+        monkeypatch.undo()
 
 
 @pytest.mark.parametrize("scale", [-1.0, float("nan"), float("inf")])
