@@ -45,8 +45,7 @@ def write_state(
     """Write the state from which a solve begins; see `StepState.at_start`. Collective.
 
     Multipliers and the origin of friction are written as a pressure and two vectors for each smooth
-    patch of the surface to which a node belongs, since the tangents are arbitrary. The last
-    solution is not written.
+    patch of the surface to which a node belongs, since tangents are arbitrary; no last solution.
     """
     jump, history, accepted = state.jump, state.history, state.accepted
     places = surroundings(jump.system.V)

@@ -281,8 +281,7 @@ class ContactProblem(ContactProcess):
         displacements of degree 1 or 2, stiffnesses that are constant in each cell, and contact with
         rigid planes, or (degree 1) of bodies whose meshes match on flat surfaces. Each body needs
         Dirichlet conditions that hold it. See `GuaranteedError` for what the exact solution is, and
-        docs/theory/guaranteed.md for the proof. It costs one solve with K, and a time proportional
-        to the number of cells.
+        docs/theory/guaranteed.md for the proof. It costs a solve with K, and a time in each cell.
 
         Args:
             gain: the bound is made sharper step by step, until a step lowers it by less than this

@@ -149,8 +149,7 @@ class ContactProcess(PetscOwner, Tabulated):
         Nodes that stick keep their s, so that residuals do not add up from step to step.
 
         Args:
-            unconverged: whether to accept a solution that missed the requested accuracy, or has
-                left linear theory.
+            unconverged: whether solutions that missed the accuracy, or left theory, are accepted.
 
         Raises:
             ContactError: nothing was solved since the last step; or the history of a material has
@@ -230,8 +229,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Args:
             solution: a solution with the same number of pairs. Each point of a surface takes the
-                slip of the nearest point of the same pair's surface in the solution, or zero where
-                no point is near.
+                slip of the nearest point of the same pair there, or zero where no point is near.
 
         Raises:
             InputError: the solution has another number of pairs, or another dimension; or a pair
@@ -440,8 +438,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Collective. At prescribed degrees of freedom, the force balances internal forces, loads and
         contact. Springs are terms of `a` (or F) over facets with the tag in which u occurs, such as
-        `k * inner(u, v) * ds(7)`. With finite sliding forces act at the displaced places, as those
-        of `pair_resultants` do.
+        `k * inner(u, v) * ds(7)`. With finite sliding forces act at the displaced places.
 
         Args:
             where: the tag of a surface in the `facet_tags` of the first pair, or one of `bcs`. The

@@ -99,7 +99,9 @@ class EqualityConstraints:
 
     def softness_with(self, added: float) -> csr_array:
         """Return S + s (I - V V') (k, k): exact equations, too, get a softness s = `added` >= 0."""
-        return csr_array(self.softness + added * self._exact_projector) if added else self.softness
+        if added == 0.0 or len(self) == 0:
+            return self.softness
+        return csr_array(self.softness + added * self._exact_projector)
 
     @cached_property
     def _exact_projector(self) -> csr_array:

@@ -261,8 +261,7 @@ class ModelNewton:
         The iterate is the start, or zero if the residual is larger at the start. A load step with
         bounds that depend on the pressure always begins at the start: of several fixed points, a
         process continues with the nearest one. For example, friction keeps a wedge in place after
-        the force that pushed it in is removed, although zero tractions satisfy the law of friction
-        as well. Collective.
+        the force that pushed it in is removed, but zero tractions obey the law, too. Collective.
         """
         problem, constraints = self.problem, self.problem.constraints
         # the scale of residuals, at zero; b is computed again if its error might hide a pressure

@@ -26,9 +26,10 @@ from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 #: for fixed multipliers of the other nodes; with a smaller one, states change less often.
 RHO_DIAGONAL = 0.2
 
-#: Limit on the number of halvings of a step that does not reduce the residual. A step of a body
-#: that hardly anything holds is too long by orders of magnitude.
-MOST_HALVINGS = 14
+#: Limits on the number of halvings of a step that does not reduce the residual, with constraints
+#: and without: a step of a body that hardly anything holds is too long by orders of magnitude. With
+#: 14 in both cases, two bricks of 24,576 unknowns take up to a third more time.
+MOST_HALVINGS, FEW_HALVINGS = 14, 4
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
 #: softness is multiplied by `SOFTER` after each step that reduces the residual too little, and
@@ -37,13 +38,15 @@ MOST_HALVINGS = 14
 PROXIMAL, SOFTER = 1e-4, 10.0
 
 #: Newton's method has solved the model if the residual is at most `SOLVED` times the residual at
-#: the start, or, where A is known whole, at most `PRECISE` times that of the loads. (Where A is
-#: known whole, or bodies float, it goes on while steps succeed, until the residual is rounding:
-#: else pellets in a tube take 12 iterations in place of 8, and a disc spring that is pressed flat
-#: and returns takes 64 Newton steps in place of 5. Without `PRECISE`, walls of 490 and 1,104 bricks
-#: take 24 and 32 steps to carry their weight, in place of 9 and 16; with 1e-9, forces on a block a
-#: millionth below the limit of friction are out of balance by 6e-13.)
-SOLVED, PRECISE = 1e-6, 1e-10
+#: the start: the next product changes the model. Where A is known whole it is `SOLVED_WHOLE` times
+#: that, or at most `PRECISE` times that of the loads. (Where A is known whole, or bodies float, it
+#: goes on while steps succeed, until the residual is rounding: else pellets in a tube take 12
+#: iterations in place of 8, and a disc spring that is pressed flat and returns takes 64 Newton
+#: steps in place of 5. Without `PRECISE`, walls of 490 and 1,104 bricks take 24 and 32 steps to
+#: carry their weight, in place of 9 and 16; with 1e-9, forces on a block a millionth below the
+#: limit of friction are out of balance by 6e-13. With 1e-6 for `SOLVED`, too, the two bricks take
+#: up to half more steps of Newton's method, and as many products.)
+SOLVED, SOLVED_WHOLE, PRECISE = 1e-2, 1e-6, 1e-10
 
 #: Number of points of the interior-point method from which Newton's method may begin, see
 #: `interior_guesses`. With one, pile 206 is not solved (`tests/validation/test_random_piles.py`).
@@ -162,11 +165,12 @@ class SemismoothNewton:
         softness, idle = self.softness, 0
         goes_on = isinstance(self.model, WholeModel) or len(self.problem.constraints) > 0
         least = ROUNDING * start.residual if goes_on else tolerance
+        most_halvings = MOST_HALVINGS if len(self.problem.constraints) > 0 else FEW_HALVINGS
         for _ in range(most_steps):
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
             # a watchdog: from time to time a whole step, even if the residual grows
-            halvings = 0 if (idle + 1) % SHORT_PATIENCE == 0 else MOST_HALVINGS
+            halvings = 0 if (idle + 1) % SHORT_PATIENCE == 0 else most_halvings
             dx, dc = self.step(point, softness)
             # the step promises the residual that would be left if the face did not change: that of
             # the constraints, which are soft in this step, while all other residuals would vanish
@@ -205,14 +209,14 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
     """
     newton = SemismoothNewton(problem, model)
     guess = newton.point(start.x, start.c, start.r)
-    # the residual at which steps end, and the one with which the result counts as solved
-    tolerance = enough = max(SOLVED * guess.residual, newton.rounding)
     if not isinstance(model, WholeModel):
-        point = newton.solve(guess, tolerance)
+        enough = max(SOLVED * guess.residual, newton.rounding)
+        point = newton.solve(guess, enough)
     else:
         # a tenth is enough, since the next iteration has the same model, and goes on
         enough = max(FORCING * guess.residual, newton.rounding)
-        tolerance = max(tolerance, min(PRECISE * newton.load, enough))
+        precise = min(PRECISE * newton.load, enough)
+        tolerance = max(SOLVED_WHOLE * guess.residual, newton.rounding, precise)
         # far from the solution, no more steps than the interior-point method takes
         is_far = guess.residual > ROUGH * newton.load
         point = newton.solve(guess, tolerance, 2 * PATIENCE if is_far else MOST_STEPS)
