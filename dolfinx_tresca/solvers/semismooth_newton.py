@@ -28,7 +28,7 @@ RHO_DIAGONAL = 0.2
 
 #: Limits on the number of halvings of a step that does not reduce the residual, with constraints
 #: and without: a step of a body that hardly anything holds is too long by orders of magnitude. With
-#: 14 in both cases, two bricks of 24,576 unknowns take up to a third more time.
+#: 14 in both cases, two bricks of 24,576 unknowns take up to a quarter more time.
 MOST_HALVINGS, FEW_HALVINGS = 14, 4
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
