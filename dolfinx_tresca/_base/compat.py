@@ -50,8 +50,7 @@ except TypeError:
 def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -> Any:
     """Distribute cells over the ranks, with or without ghosts, and return the mesh. Collective.
 
-    The cells (n, k) and coordinates are those that this rank contributes, the domain is the
-    coordinate element.
+    This rank contributes the cells (n, k) and coordinates; the domain is the coordinate element.
     """
     mode = dolfinx.mesh.GhostMode.shared_facet if ghosts else dolfinx.mesh.GhostMode.none
     partitioner = dolfinx.mesh.create_cell_partitioner(mode, *_CELLS_AT_FACET)

@@ -209,8 +209,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
 
     Raises:
         ContactError: the problem was destroyed.
-        InputError: the errors are not a function of degree 0 on the problem's mesh, or are
-            negative.
+        InputError: the errors are not a function of degree 0 on the problem's mesh, or negative.
     """
     check_type("problem", problem, ContactProblem, "a ContactProblem")
     mesh, operators = problem.mesh, problem.operators

@@ -19,6 +19,5 @@ same adjoint. A *tape* keeps accepted load steps, and carries gradients back thr
 
 Read first: `linearised.LinearisedContact` (the equations, with tangent and adjoint as one solve),
 `change_of_data.DataOfSolution` (what depends on controls), `goals.gradient`. The files are in the
-order of imports: `linearised`, `change_of_data`, `goals` (with their errors, gradients and
-tangents), `tape`.
+order of imports: `linearised`, `change_of_data`, `goals` (errors, gradients, tangents), `tape`.
 """

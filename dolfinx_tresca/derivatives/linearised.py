@@ -199,7 +199,8 @@ class LinearisedContact:
         # norms of residuals and images weigh each row by the inverse of the model's diagonal
         weight = 1.0 / (model.diagonal + curvature)
         root = np.sqrt(weight)
-        residual = self._maps(model.diagonal, transpose).test @ (jump_at_start - offset)
+        maps = self._maps(model.diagonal, transpose)
+        residual = maps.test @ (jump_at_start - offset)
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
         rounding = RESIDUAL_ROUNDING * norm(dual, root * (np.abs(jump_at_start) + np.abs(offset)))
         accepted = max(max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * residual), rounding)
@@ -209,7 +210,6 @@ class LinearisedContact:
         images: Array = np.empty((len(residual), 0))
         missing, wanted_length = resultants, 0.0
         for number in range(MOST_STEPS):
-            maps = self._maps(model.diagonal, transpose)
             step_y, step_c = model.solve_on_face(
                 maps, residual, constraints.columns, constraints.softness, missing
             )
@@ -240,6 +240,7 @@ class LinearisedContact:
             point, residual = point.plus(factor, step), residual - factor * image
             displacement.v.array[: len(point.v)] = point.v
             model = store.model()
+            maps = self._maps(model.diagonal, transpose)
         return point.y, point.c, norm(dual, root * residual) <= accepted
 
     def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:

@@ -43,12 +43,16 @@ class Lift:
 
     def __init__(self, jump: JumpOperator) -> None:
         """Factor B D B'. Collective."""
-        self._K, self._B = jump.system.K, jump.matrix
-        (self._w, self._jump), (self._Kw, self._y) = self._B.createVecs(), self._B.createVecs()
+        self._prepare(jump.system.K, jump.matrix)
         self._D = nodal_compliance(jump.system)
         weighted = self._B.copy()
         weighted.diagonalScale(R=self._D)
         self._solver = _factored_unless_singular(weighted.matTransposeMult(self._B))
+
+    def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
+        """Keep K and B, and make vectors for them. Collective."""
+        self._K, self._B = K, B
+        (self._w, self._jump), (self._Kw, self._y) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jumps: Array) -> float:
         """Return |w|_K [energy^(1/2)] for jumps (size,); infinite if no w has them. Collective."""
@@ -114,8 +118,7 @@ class SaddleLift(Lift):
         nothing.assemble()
         whole = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm).copy()
         whole.convert(PETSc.Mat.Type.AIJ)
-        self._K, self._B = K, B
-        (self._w, self._jump), (self._Kw, self._y) = B.createVecs(), B.createVecs()
+        self._prepare(K, B)
         self._right, self._solution = whole.createVecs()
         self._solver = _factored_unless_singular(whole, negative_pivots=None)
         # rows of B alone are independent if `Lift` finds a displacement for an irregular jump

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -176,21 +177,20 @@ class JumpOperator(PetscOwner):
         # ratio. Discs of rows without friction, which come last, keep the radius 0
         count, roots = len(self.discs.radius), self._root_areas
         ratios, scaled = self._relative_radius, self._relative_radius * roots
-        of_discs = {name: np.zeros(count) for name in ("constant", "coefficient", "limit")}
+        names = "constant", "coefficient", "limit"
+        of_discs: dict[str, Any] = {name: np.zeros(count) for name in names}
         for name, result in of_discs.items():
             values = np.concatenate([getattr(bounds, name) for bounds in slip_bounds])
             factor = ratios if name == "coefficient" else scaled
             np.multiply(values, factor, out=result[: len(roots)], where=factor > 0.0)  # no inf * 0
-        given = dataclasses.replace(self.discs, radius=of_discs["constant"])
-        coefficient = of_discs["coefficient"]  # positive with a curve, too
-        if not self.comm.allreduce(bool(coefficient.any()), op=MPI.LOR):
+        given = dataclasses.replace(self.discs, radius=of_discs.pop("constant"))
+        if not self.comm.allreduce(bool(of_discs["coefficient"].any()), op=MPI.LOR):
             return given
         root = np.ones(count)
         root[: len(roots)] = np.where(roots > 0.0, roots, 1.0)
         on_nodes = zip(self.nodes, slip_bounds, strict=True)
         curves = [(nodes, bounds.curve) for nodes, bounds in on_nodes if bounds.curve is not None]
-        rows = given.size, given.normal, given.tangential, given.node, given.radius, given.normal_of
-        return FrictionCones(*rows, coefficient, of_discs["limit"], NodalCurves(curves, root))
+        return FrictionCones(**vars(given), **of_discs, curves=NodalCurves(curves, root))
 
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of each node's friction ellipse. Collective.
