@@ -26,9 +26,10 @@ from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 #: for fixed multipliers of the other nodes; with a smaller one, states change less often.
 RHO_DIAGONAL = 0.2
 
-#: Limits on the number of halvings of a step that does not reduce the residual, with constraints
-#: and without: a step of a body that hardly anything holds is too long by orders of magnitude. With
-#: 14 in both cases, two bricks of 24,576 unknowns take up to a quarter more time.
+#: Limits on the number of halvings of a step that does not reduce the residual, if A is known whole
+#: or bodies float, and else. Steps of bodies that hardly anything holds are too long by orders of
+#: magnitude. (With 14 in both cases, two bricks of 24,576 unknowns take up to a quarter more time;
+#: with 4 in both, random blocks on obstacles with few nodes are not solved.)
 MOST_HALVINGS, FEW_HALVINGS = 14, 4
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
@@ -43,8 +44,7 @@ PROXIMAL, SOFTER = 1e-4, 10.0
 #: else pellets in a tube take 12 iterations in place of 8, and a disc spring that is pressed flat
 #: and returns takes 64 Newton steps in place of 5. Without `PRECISE`, walls of 490 and 1,104 bricks
 #: take 24 and 32 steps to carry their weight, in place of 9 and 16; with 1e-9, forces on a block a
-#: millionth below the limit of friction are out of balance by 6e-13. With 1e-2 for `SOLVED`, two
-#: bricks take a tenth less time, but one of 5,000 random scenes is not solved in 200 iterations.)
+#: millionth below the limit of friction are out of balance by 6e-13.)
 SOLVED, PRECISE = 1e-6, 1e-10
 
 #: Number of points of the interior-point method from which Newton's method may begin, see
@@ -164,7 +164,7 @@ class SemismoothNewton:
         softness, idle = self.softness, 0
         goes_on = isinstance(self.model, WholeModel) or len(self.problem.constraints) > 0
         least = ROUNDING * start.residual if goes_on else tolerance
-        most_halvings = MOST_HALVINGS if len(self.problem.constraints) > 0 else FEW_HALVINGS
+        most_halvings = MOST_HALVINGS if goes_on else FEW_HALVINGS
         for _ in range(most_steps):
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:
                 break
