@@ -186,8 +186,14 @@ class Iterate:
         return r, error
 
     def increase_accuracy(self) -> None:
-        """Compute the gradient and later products more accurately, if possible. Collective."""
-        if not self._is_exact and self._part >= FULL_ACCURACY:
+        """Compute the gradient and later products more accurately, if possible. Collective.
+
+        If A is known whole, its model becomes more accurate.
+        """
+        store = self.store
+        if isinstance(store, WholeModel):
+            store.reduce_shift()
+        elif not self._is_exact and self._part >= FULL_ACCURACY:
             self._part *= FORCING
             self.finest *= FORCING
             self.learned = True

@@ -12,7 +12,7 @@ from scipy.sparse import block_array, csr_array, diags_array, eye_array, isspars
 from scipy.sparse.linalg import eigsh
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Matrix, dense
-from dolfinx_tresca._base.tolerances import MOST_STEPS
+from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS
 from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 
@@ -416,8 +416,14 @@ class WholeModel:
         self.model_diagonal = self.diagonal
         self.unit = float(reductions.inner(self.diagonal, np.ones(own))) / max(n, 1)
         self._matrix = reductions.stacked(rows) if issparse(rows) else self._gathered(rows)
-        shift = diags_array(self._gathered(SHIFT * local_compliance), format="csr")
-        self._shifted = self._matrix + shift
+        self._shift = self._gathered(SHIFT / FORCING * local_compliance)
+        self.reduce_shift()
+
+    def reduce_shift(self) -> None:
+        """Divide s by ten, so that the error falls faster. Rounding of A is a lower limit."""
+        least = PRODUCT_ROUNDING * self._matrix.diagonal()
+        self._shift = np.maximum(FORCING * self._shift, least)
+        self._shifted = self._matrix + diags_array(self._shift, format="csr")
 
     def __len__(self) -> int:
         """Return the number of multipliers of all ranks, whose products are known."""
