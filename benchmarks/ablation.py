@@ -350,9 +350,7 @@ PARTS: dict[str, Patches] = {
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
     "shift of A": [(products, "SHIFT", 0.0)],
-    "shorter Newton steps": [
-        (semismooth_newton, name, 0) for name in ("MOST_HALVINGS", "FEW_HALVINGS")
-    ],
+    "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
     "other initial guesses": [(semismooth_newton, "interior_guesses", lambda *arguments: ())],
     "curvature of circles": [
@@ -378,13 +376,13 @@ CONSTANTS = {
     "_base.tolerances": "FORCING ROUGH SLACK FULL_ACCURACY PROGRESS PATIENCE SHORT_PATIENCE "
     "MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS FEW_HALVINGS PROXIMAL SOFTER SOLVED",
+    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
     "solvers.interior_point": "COMPLEMENTARY FIRST_SOFTNESS",
     "solvers.iteration": "MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT "
     "LEAST_SOFTNESS",
     "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
-    "dual.products": "FEW LARGEST_DENSE LARGEST_DENSE_ITERATIVE LAYERS LAYERS_BEFORE_COARSE",
+    "dual.products": "FEW LARGEST_DENSE LARGEST_DENSE_ITERATIVE LAYERS",
     "dual.program": "LOAD_ACCURACY",
 }
 NEAR_ONE = {

@@ -233,8 +233,7 @@ class ContactSolution(Evaluation, Tabulated):
             point: (d,) reference point of the moment [length], by default of `body_resultants`.
 
         Raises:
-            InputError: an index belongs to no body, both are equal, or the point does not have d
-                finite coordinates.
+            InputError: an index belongs to no body, both are equal, or the point is not finite.
         """
         i, j = self._body_index(body), self._body_index(other)
         if i == j:

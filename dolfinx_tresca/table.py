@@ -55,8 +55,7 @@ class Units:
 
         Args:
             quantity: quantity whose unit is returned, such as "stress".
-            dim: dimension of space, 3 for axisymmetric bodies; in 2D, forces and energies are per
-                unit of thickness.
+            dim: dimension, 3 for axisymmetric bodies; in 2D, forces, energies are per thickness.
         """
         if quantity == "length":
             return self.length

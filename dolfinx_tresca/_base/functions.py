@@ -20,8 +20,7 @@ def zero_like(
 ) -> fem.Function:
     """Return a Function of zeros on the space of another one. Not collective.
 
-    On several ranks a new Function takes two MPI communicators, of which MPICH has 2,048; a copy
-    shares those of its original.
+    On several ranks a new Function takes two of MPICH's 2,048 communicators; a copy shares them.
     """
     result = kind(function.function_space, function.copy().x, name=name)
     result.x.array[:] = 0.0

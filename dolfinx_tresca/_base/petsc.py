@@ -84,8 +84,7 @@ def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
 def sparse_matrix(rows: csr_array, columns: tuple[int, int], comm: Any) -> PETSc.Mat:
     """Return the sparse PETSc matrix with given rows on this rank; the caller owns it. Collective.
 
-    The rows have global column numbers; `columns` says how many columns this rank has, and how many
-    there are in all.
+    The rows have global column numbers; `columns` are the numbers of this rank's and all columns.
     """
     pattern = (array.astype(PETSc.IntType) for array in (rows.indptr, rows.indices))
     sizes = ((rows.shape[0], None), columns)

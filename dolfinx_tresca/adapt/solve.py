@@ -278,8 +278,7 @@ def solve_adaptively(
         max_levels: limit for the number of meshes.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this
             solution (`ContactProblem.continue_from`).
-        observer: function that is called with each `Level`, such as `print`; if it returns True,
-            this level is the last one.
+        observer: function called with each `Level`, such as `print`; True ends after this level.
 
     Returns:
         the last solution, with all levels; look at its `status`, or call `raise_if_failed()`.

@@ -14,8 +14,7 @@ A solve ends with a status in three steps: the iteration judges its iterates (`H
 `status_of_fields` compares the error bound of the fields with the accuracy that the user asked for,
 and `ContactSystem.checked` looks whether slips, and of linear bodies rotations and strains, are
 within the limits of their theory. `NonlinearContactProblem.solve` adds NO_EQUILIBRIUM. Newton's
-method for nonlinear bodies asks for more accuracy than the user does; only what the user asked
-decides about convergence.
+method for nonlinear bodies asks for more accuracy than the user, whose request alone decides.
 
 Symbols: B is `jump`, A is `compliance` (a `ContactCompliance`), x (multipliers) is
 `StepState.multipliers`, the origin s of friction is `StepState.history.origin`.

@@ -3,14 +3,12 @@
 The data of a solution are the load f, with the prescribed values u_D in their rows, the offsets
 (d; s) (gaps and slip origins) and the radii g of the friction discs. A `DataVector` has one entry
 for each datum. It is a change of the data, (df, du_D, do, dg), or the derivatives of an output with
-respect to the data: (z, w, y, t) with the adjoint (z, y), see `linearised`. The output changes by
-the inner product of both.
+respect to the data: (z, w, y, t) with the adjoint (z, y). The output changes by their product.
 
 `DataOfSolution` is the one place that knows what depends on controls: forms, Dirichlet conditions,
 gaps, terms and curves of friction laws (`nodal_fields`), and the rows of B, which rigid obstacles
 change (`jump_differences`). Its two methods are transposed to each other: `change` is for tangents,
-and for gradients with respect to Constants, which have few values; `pulled_back` is for gradients
-with respect to Functions.
+and for gradients with respect to Constants; `pulled_back` is for those with respect to Functions.
 """
 
 from __future__ import annotations

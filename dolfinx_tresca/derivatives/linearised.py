@@ -129,8 +129,7 @@ class LinearisedContact:
 
         Here z is a displacement, zero where u is prescribed, and y (size,) are multipliers, see the
         module. Products with A are kept for later solves. The vector by_u (owned degrees of
-        freedom,) is zero where u is prescribed. The relative error of y in the energy norm is at
-        most the accuracy; None: `ACCURACY`.
+        freedom,) is zero where u is prescribed. The `accuracy` of y is relative, in energy norm.
         """
         right = self.dual.jump.contact_force(by_jump).copy()
         if by_u is not None:

@@ -58,8 +58,7 @@ class ProcessTape:
     Constants that a Python function reads, those are kept that are variables of the function.
 
     Slip is measured from the positions in which friction held the surfaces in the previous step, so
-    a goal of the last step depends on all steps. Derivatives go backwards through the slip history,
-    with one adjoint solve for each step.
+    a goal of the last step depends on all steps. Derivatives take an adjoint solve for each step.
 
     Example:
         The cube in the example of `ContactProblem`, pressed more and more in two steps; the

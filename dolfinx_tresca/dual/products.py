@@ -140,11 +140,9 @@ def _rows_of_bodies(
     return key // bodies, key % bodies, csr_array((data, (split_row, indices)), shape=shape)
 
 
-#: Number of layers of cells around the contact whose nodes may move: `LAYERS` with a direct solver
-#: for K, `LAYERS_BEFORE_COARSE` with multigrid, whose coarse level represents the rest of the
-#: bodies. (On two bricks a load step takes up to 10 products with one layer, 8 with two; with
-#: multigrid 33 and 30 Krylov iterations, which then cost twice as much.)
-LAYERS, LAYERS_BEFORE_COARSE = 2, 1
+#: Number of layers of cells around the contact whose nodes may move. (With two, two bricks with
+#: 24,576 unknowns take up to two products fewer, and as long, since products with D cost more.)
+LAYERS = 1
 
 #: Largest number of unknowns of the level, whose factorisation takes a hundredth of a second. (On
 #: two bricks, a solve takes 63 Krylov iterations with 42 unknowns, and 54 with 2,244.)
@@ -199,8 +197,7 @@ class NearField(PetscOwner):
         """Find nodes near the contact, and factor K there and on the coarse level. Collective."""
         self._jump, K = jump, solver.matrix
         self.comm = jump.comm
-        layers = LAYERS if solver.exact else LAYERS_BEFORE_COARSE
-        near = np.repeat(_near(jump, layers), jump.system.V.dofmap.index_map_bs)
+        near = np.repeat(_near(jump, LAYERS), jump.system.V.dofmap.index_map_bs)
         self._dofs = np.flatnonzero(near & ~jump.system.prescribed)
         numbers = (K.getOwnershipRange()[0] + self._dofs).astype(PETSc.IntType)
         rows = PETSc.IS().createGeneral(numbers, comm=K.comm)

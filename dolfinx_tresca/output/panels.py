@@ -165,8 +165,7 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     """Return the pieces of a curve of 2D, sorted by the nodes at which they begin.
 
     An open piece begins at one of its ends, a closed piece at one of its nodes: at the least one if
-    they are sorted by x, then by y. A closed piece runs counterclockwise and ends with the node
-    with which it begins.
+    they are sorted by x, then by y. A closed piece runs counterclockwise and ends where it begins.
 
     Returns:
         for each piece: its k nodes; (k,) arc lengths [length], which increase from piece to piece,

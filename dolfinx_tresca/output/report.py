@@ -65,8 +65,7 @@ class ProblemSummary:
         dofs: degrees of freedom of the displacement, and `free_dofs` those that are not prescribed.
         contact_nodes: m, nodes that carry multipliers.
         size_rows: the rows that do not belong to pairs.
-        pairs: for each pair, as text: its name with its kind and number of nodes, and the range of
-            its gap; and its law.
+        pairs: for each pair, as text: its name, kind, number of nodes, range of the gap, and law.
     """
 
     dofs: int

@@ -24,8 +24,7 @@ Nouns:
 
 Symbols: the hat functions phi are `hats`, the dual basis psi is `dual`, the projection P from the
 primary side is `PairOperators.primary`, the covered areas w are `weights`. The jump is secondary
-minus primary, along normals out of the secondary side: N u > 0 closes, the gap is positive if open,
-and gap - N u of it remains.
+minus primary, along normals out of the secondary side: N u > 0 closes, gap - N u of a gap remains.
 
 All that is computed here follows from the positions of nodes: the only state is `Undeformed`, which
 `PairOperators` carries from one pairing to the next and which is never changed.

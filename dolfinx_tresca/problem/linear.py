@@ -381,8 +381,7 @@ class ContactProblem(ContactProcess):
 
         Raises:
             ContactError: the problem records already.
-            InputError: `a` or `L` is no form of UFL, or a pair has finite sliding, whose pairing
-                depends on the solution.
+            InputError: `a` or `L` is no form of UFL, or a pair has finite sliding.
         """
         self._contact.check_not_destroyed()
         self._check_pairing_fixed()

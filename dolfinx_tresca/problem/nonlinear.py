@@ -84,8 +84,7 @@ class NonlinearContactProblem(ContactProcess):
 
     If Newton's method fails, half of the change of load is tried first. This works for all kinds of
     load, since what is removed in parts is the residual at the start of the solve. A tangent may
-    be indefinite, since it does not contain the contact; then springs in the contact are added,
-    which do not change the solution.
+    be indefinite, since it lacks the contact; springs added there do not change the solution.
 
     A solve starts at the present u. In a process with Coulomb friction, a solve after a solution
     that was not accepted starts at the u of the last accepted step, unless u was changed.

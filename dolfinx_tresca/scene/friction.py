@@ -297,8 +297,7 @@ class Coulomb(DryFriction):
     depends on the slip: hold them by Dirichlet conditions. The theory of Coulomb's law remains
     valid if the bound F(p, v) p increases with p and with v. If the bound decreases with v (slip
     weakening), there is one solution if it decreases more slowly than the stiffness of the bodies
-    increases the traction; the solve warns of bounds that decrease faster, and of bounds that
-    decrease with p.
+    increases the traction; the solve warns of bounds that decrease faster, or with p.
 
     A solve finds a fixed point: multipliers that solve the Tresca problem whose bounds follow from
     their own pressures. The discrete problem has a solution for any coefficient, and a unique one

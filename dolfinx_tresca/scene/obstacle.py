@@ -315,8 +315,7 @@ class RigidObstacle:
         """Return signed distances (n,) [length] and unit normals (n, 3) at points (n, 3).
 
         Raises:
-            InputError: the function returns other shapes, values that are not finite, or normals
-                whose length is not 1.
+            InputError: the shapes differ, values are not finite, or normals do not have length 1.
         """
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
@@ -430,8 +429,7 @@ class RigidCylinder(RigidObstacle):
             hollow: whether the cylinder is a hole with the deformable body inside it.
 
         Raises:
-            InputError: the point or the axis is not a vector, the axis is zero, or the radius is
-                not positive.
+            InputError: the point or axis is no vector, the axis zero, or the radius not positive.
         """
         checked_vector("axis", getattr(axis, "value", axis), 3)
         p, a = _present(_coordinates, "point", point), _present(_direction, "axis", axis)

@@ -162,7 +162,7 @@ class SemismoothNewton:
         softness, idle = self.softness, 0
         goes_on = isinstance(self.model, WholeModel) or len(self.problem.constraints) > 0
         least = ROUNDING * start.residual if goes_on else tolerance
-        # a few whole steps from any residual mostly reach the solution, if supports hold the bodies
+        # whole steps reach the solution sooner if supports hold the bodies
         whole_steps = 0 if goes_on else SHORT_PATIENCE
         for _ in range(most_steps):
             if best.residual <= (tolerance if idle else least) or idle == PATIENCE:

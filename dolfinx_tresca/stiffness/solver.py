@@ -307,8 +307,7 @@ def cholesky(
 
     A saddle-point matrix (A, B'; B, -C) has as many `negative_pivots` as unknowns other than
     displacements: then, by Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C
-    is zero, A on the vectors u with B u = 0. None: their number is not known, and only a pivot that
-    is zero is an error.
+    is zero, A on the vectors u with B u = 0. None: only zero pivots are errors.
     """
     defaults: dict[str, Any] = {
         "ksp_type": "preonly",
@@ -317,9 +316,8 @@ def cholesky(
         # CHOLMOD's default for small matrices, LDL', accepts negative pivots
         "mat_cholmod_factor": "SUPERNODAL",
         "mat_cholmod_print": 0,  # PETSc reports errors
-        # METIS; a MUMPS built without it, such as Debian's, takes PORD (INFOG(7) = 4), which among
-        # the orderings in Debian's MUMPS (AMD, AMF, QAMD, PORD) gives the sparsest factors of 3D
-        # bodies
+        # METIS; a MUMPS without it, as in Debian, takes PORD, which of its own orderings gives the
+        # sparsest factors of bodies in 3D
         "mat_mumps_icntl_7": 5,
         "mat_mumps_icntl_14": SPARE_WORKSPACE,
     }
