@@ -350,7 +350,7 @@ PARTS: dict[str, Patches] = {
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
     "shift of A": [(products, "SHIFT", 0.0)],
-    "shorter Newton steps": [(semismooth_newton, "MOST_HALVINGS", 0)],
+    "shorter Newton steps": [(semismooth_newton, "MOST_CUTS", 0)],
     "softer constraints in steps": [(semismooth_newton, "SOFTER", 1.0)],
     "other initial guesses": [(semismooth_newton, "interior_guesses", lambda *arguments: ())],
     "curvature of circles": [
@@ -376,7 +376,7 @@ CONSTANTS = {
     "_base.tolerances": "FORCING ROUGH SLACK FULL_ACCURACY PROGRESS PATIENCE SHORT_PATIENCE "
     "MOST_STEPS",
     "_base.arrays": "ROUNDING",
-    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_HALVINGS PROXIMAL SOFTER SOLVED",
+    "solvers.semismooth_newton": "RHO_DIAGONAL MOST_CUTS PROXIMAL SOFTER SOLVED",
     "solvers.interior_point": "COMPLEMENTARY FIRST_SOFTNESS",
     "solvers.iteration": "MISSES",
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT "

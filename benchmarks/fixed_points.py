@@ -52,7 +52,7 @@ def only(ways: tuple[str, ...]) -> contextlib.ExitStack:
             stack.enter_context(mock.patch.object(owner, name, value))
 
     if "damped" not in ways:
-        change(semismooth_newton, MOST_HALVINGS=0)
+        change(semismooth_newton, MOST_CUTS=0)
     if "whole" not in ways:
         change(ModelNewton, complete_products=lambda self: False)
     if "interior" not in ways:

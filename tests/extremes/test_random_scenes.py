@@ -392,7 +392,7 @@ def check(comm, drawn: Drawn) -> ContactSolution:
         STEEP.add(drawn)
         if solution.status is ContactStatus.NO_FIXED_POINT:
             MISSED.add(drawn)
-            assert len(MISSED) <= 1 + len(STEEP) / 50
+            assert len(MISSED) <= 3 + len(STEEP) / 50
             return solution
     assert solution.status in wanted
     found = defects(scene, solution, axisymmetric=ring)
