@@ -209,8 +209,7 @@ class ContactSolution(Evaluation, Tabulated):
         """Return force and moment of contact on the secondary side of each pair. Not collective.
 
         The forces are -N'lambda_nu - T'lambda_tau: they act against the normals and against the
-        tractions. The forces on the primary side are equal and opposite. `body_resultants` has the
-        sums over all pairs for each body.
+        tractions. Those on the primary side are opposite. `body_resultants` sums over all pairs.
 
         Args:
             point: (d,) reference point of the moments [length], by default of `body_resultants`.

@@ -143,8 +143,7 @@ class LinearisedContact:
 
         They are T (B v - C y) = T offset, with T = P (I + Q') and y = P y for the adjoint
         (`transpose`), and with T = P and y = (I + Q) P y for the tangent. The first equation gives
-        v = K^-1 (force - B'y), and, if bodies float, the rigid motions U c with B U = G in
-        addition. So y and c obey
+        v = K^-1 (force - B'y), plus rigid motions U c of floating bodies, B U = G. So y and c obey
 
             T ((A + C) y - G c) = T (B K^-1 force - offset),    G'y + S c = resultants,
 

@@ -270,8 +270,7 @@ class DiscretisationError:
         """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
         Here e_u and e_z are the errors of the displacements u and z. The values may be negative:
-        a(e_u, e_z) is a quarter of the difference of the squared estimates for u + z and u - z. For
-        this, u and z are scaled to unit size.
+        a(e_u, e_z) is a quarter of the difference of the squared estimates for scaled u + z, u - z.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])

@@ -192,8 +192,7 @@ class FixingSprings:
         The springs act on about `FIXING_NODES` nodes of each body, chosen at random, since nodes at
         regular intervals might all be on one edge. They make the body about as stiff against its
         rigid modes as it is against deformation. The nodes are few, since the springs couple each
-        of them with all the others; but they are more than the modes, since the body would be
-        deformed locally around a single node.
+        of them with all the others; but more than the modes, since forces deform a body locally.
         """
         modes, label = self.modes, self.modes.bodies.label
         # the nodes that modes move, and a random number in [0, 1) for each, whatever the partition

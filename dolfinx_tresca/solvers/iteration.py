@@ -186,10 +186,7 @@ class Iterate:
         return r, error
 
     def increase_accuracy(self) -> None:
-        """Compute the gradient and later products more accurately, if possible. Collective.
-
-        If A is known whole, its model becomes more accurate.
-        """
+        """Make the gradient and later products, or the whole A's model, more accurate. Collective."""
         store = self.store
         if isinstance(store, WholeModel):
             store.reduce_shift()

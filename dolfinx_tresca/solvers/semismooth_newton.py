@@ -27,8 +27,8 @@ from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 RHO_DIAGONAL = 0.2
 
 #: Limit on the number of times that a step that does not reduce the residual is divided by four.
-#: Steps of bodies that hardly anything holds are too long by orders of magnitude. (With 14 halvings,
-#: three pellets in a tube, heated and cooled, take a third more time.)
+#: Steps of bodies that hardly anything holds are too long by orders of magnitude. (With halves,
+#: pellets in a tube take a third more time.)
 MOST_CUTS = 7
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
@@ -37,13 +37,14 @@ MOST_CUTS = 7
 #: With `SOFTER` = 3, piles of stones take a third more steps.
 PROXIMAL, SOFTER = 1e-4, 10.0
 
-#: Newton's method has solved the model if the residual is at most `SOLVED` times the residual at
-#: the start, or, where A is known whole, at most `PRECISE` times that of the loads. (Where A is
-#: known whole, or bodies float, it goes on while steps succeed, until the residual is rounding:
-#: else pellets in a tube take 12 iterations in place of 8, and a disc spring that is pressed flat
-#: and returns takes 64 Newton steps in place of 5. Without `PRECISE`, walls of 490 and 1,104 bricks
-#: take 24 and 32 steps to carry their weight, in place of 9 and 16; with 1e-9, forces on a block a
-#: millionth below the limit of friction are out of balance by 6e-13.)
+#: Newton's method has solved the model if the residual is at most `ROUGH` times the residual at the
+#: start; where bodies float, or A is known whole, `SOLVED` times it, or `PRECISE` times that of the
+#: loads if A is known whole. (There it also goes on while steps succeed, until the residual is
+#: rounding: else pellets in a tube take 12 iterations in place of 8, and a disc spring that is
+#: pressed flat and returns takes 64 Newton steps in place of 5. With `ROUGH`, one of 300 piles ends
+#: with STAGNATED. Without `PRECISE`, walls of 490 and 1,104 bricks take 24 and 32 steps to carry
+#: their weight, in place of 9 and 16; with 1e-9, forces on a block a millionth below the limit of
+#: friction are out of balance by 6e-13.)
 SOLVED, PRECISE = 1e-6, 1e-10
 
 #: Number of points of the interior-point method from which Newton's method may begin, see
@@ -89,10 +90,13 @@ class SemismoothNewton:
 
     Residuals are energies: those of multipliers are weighted by the root of D, those of a
     constraint by the sum of G^2 / D (`constraint_scale`). A step is divided by four until it
-    reduces the residual by a tenth of what it promises. If no part of a step does, contact on this face holds
-    some bodies only weakly, or not at all: then S is softened for the steps that follow, as in the
-    method of Levenberg and Marquardt. After good steps, S is stiffened again. Methods are
+    reduces the residual by a tenth of what it promises. If no part of a step does, contact on this
+    face holds some bodies only weakly, or not at all: then S is softened for the steps that follow,
+    as in the method of Levenberg and Marquardt. After good steps, S is stiffened again. Methods are
     collective, and need no product with A.
+
+    Attributes:
+        goes_on: whether A is known whole, or bodies float: then steps end at rounding (`SOLVED`).
     """
 
     def __init__(self, problem: DualProblem, model: Model) -> None:
