@@ -186,7 +186,7 @@ class Iterate:
         return r, error
 
     def increase_accuracy(self) -> None:
-        """Make the gradient and later products, or the whole A's model, more accurate. Collective."""
+        """Make the gradient and products, or the whole A's model, more accurate. Collective."""
         store = self.store
         if isinstance(store, WholeModel):
             store.reduce_shift()
