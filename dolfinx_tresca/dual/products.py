@@ -271,9 +271,10 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
 
 
 #: With a direct solver, A is computed at once if it has at most `FEW` rows; if K has fewer than
-#: `CHEAP` unknowns, as in the plane, the number of rows may be larger in proportion. (Without, two
-#: strips in the plane with 802 rows, continued from a file, take six times the time.)
-FEW, CHEAP = 400, 10_000
+#: `CHEAP` unknowns, as in the plane, the number may be larger in proportion, up to `MOST_AT_ONCE`.
+#: (Without, two strips in the plane with 802 rows, continued from a file, take six times the time;
+#: without the limit, so does a layer of 400 cells that has contact at all of its 441 lower nodes.)
+FEW, CHEAP, MOST_AT_ONCE = 400, 10_000, 1000
 
 
 class ContactCompliance(PetscOwner):
@@ -372,7 +373,7 @@ class ContactCompliance(PetscOwner):
         self._store = ProductStore(
             jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
         )
-        if self.exact and 0 < size * min(1.0, unknowns / CHEAP) <= FEW:
+        if self.exact and 0 < size <= min(FEW * max(1.0, CHEAP / unknowns), MOST_AT_ONCE):
             self.complete_products()
         return self._store
 
