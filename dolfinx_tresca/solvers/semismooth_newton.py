@@ -37,11 +37,11 @@ MOST_CUTS = 7
 #: With `SOFTER` = 3, piles of stones take a third more steps.
 PROXIMAL, SOFTER = 1e-4, 10.0
 
-#: Newton's method has solved the model if the residual is at most `ROUGH` times the residual at the
-#: start; where bodies float, or A is known whole, `SOLVED` times it, or `PRECISE` times that of the
-#: loads if A is known whole. (There it also goes on while steps succeed, until the residual is
+#: Newton's method has solved the model if the residual is at most `FORCING` times the residual at
+#: the start; where bodies float, or A is known whole, `SOLVED` times it, or `PRECISE` times that of
+#: the loads if A is known whole. (There it also goes on while steps succeed, until the residual is
 #: rounding: else pellets in a tube take 12 iterations in place of 8, and a disc spring that is
-#: pressed flat and returns takes 64 Newton steps in place of 5. With `ROUGH`, one of 300 piles ends
+#: pressed flat and returns takes 64 Newton steps in place of 5. With 1e-3, one of 300 piles ends
 #: with STAGNATED. Without `PRECISE`, walls of 490 and 1,104 bricks take 24 and 32 steps to carry
 #: their weight, in place of 9 and 16; with 1e-9, forces on a block a millionth below the limit of
 #: friction are out of balance by 6e-13.)
@@ -213,7 +213,7 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
     newton = SemismoothNewton(problem, model)
     guess = newton.point(start.x, start.c, start.r)
     # the residual at which steps end, and the one with which the result counts as solved
-    relative = SOLVED if newton.goes_on else ROUGH
+    relative = SOLVED if newton.goes_on else FORCING
     tolerance = enough = max(relative * guess.residual, newton.rounding)
     if not isinstance(model, WholeModel):
         point = newton.solve(guess, tolerance)
