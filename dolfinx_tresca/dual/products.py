@@ -140,9 +140,9 @@ def _rows_of_bodies(
     return key // bodies, key % bodies, csr_array((data, (split_row, indices)), shape=shape)
 
 
-#: Number of layers of cells around the contact whose nodes may move. (With two, two bricks with
-#: 24,576 unknowns take up to two products fewer, and as long, since products with D cost more.)
-LAYERS = 1
+#: Number of layers of cells around the contact whose nodes may move. (With one, two bricks take up
+#: to three products more, and with multigrid up to a fifth more Krylov iterations.)
+LAYERS = 2
 
 #: Largest number of unknowns of the level, whose factorisation takes a hundredth of a second. (On
 #: two bricks, a solve takes 63 Krylov iterations with 42 unknowns, and 54 with 2,244.)
