@@ -273,7 +273,7 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
 #: With a direct solver, A is computed at once if it has at most `FEW` rows; if K has fewer than
 #: `CHEAP` unknowns, as in the plane, the number may be larger in proportion, up to `MOST_AT_ONCE`.
 #: (Without, two strips in the plane with 802 rows, continued from a file, take six times the time;
-#: without the limit, so does a layer of 400 cells that has contact at all of its 441 lower nodes.)
+#: without the limit, a layer of 400 cells that touches with all of its 441 lower nodes takes four.)
 FEW, CHEAP, MOST_AT_ONCE = 400, 10_000, 1000
 
 
