@@ -24,7 +24,7 @@ from scenes.scene import Scene
 #: Of Clarabel; and what it leaves of displacements, since energies grow with their square. Where
 #: bodies are much softer somewhere, it leaves more.
 TOLERANCE = 1e-12
-REFERENCE, SPREAD = 10.0 * math.sqrt(TOLERANCE), 1e3
+REFERENCE, SPREAD = 9.0 * math.sqrt(TOLERANCE), 1e3
 
 #: Gaps over the largest displacement, beyond which an interior-point method has trouble with them.
 WIDE = 1e6
