@@ -43,7 +43,7 @@ class SolverOptions:
             `accuracy` alone decides.
         max_iterations: largest number of outer (Newton) iterations.
         rho_sigma: step length rho of the projection times the estimated largest eigenvalue of A.
-            GIMSSN and projected Newton take values in (0, 2), for which they converge if slip
+            GIMSSN and projected Newton take values in (0, 2), for which GIMSSN converges if slip
             bounds are given and supports hold all bodies; the other methods take any positive
             value. None: 1 for projected Newton, 1.9 for GIMSSN, 3 for the others.
         r_tol: ratio of the tolerance of an inner iteration to the outer residual (Step 3.1 of the

@@ -87,14 +87,15 @@ def minimum_of_model(M, x, r, lam):
         system = P @ (M + np.diag(kappa)) @ P + np.eye(len(x)) - P
         return on_face + np.linalg.solve(system, -P @ gradient(on_face)) - z
 
-    best = z = x
-    for _ in range(30):
-        if residual(best) <= 1e-12 * residual(x):
-            break
-        step, before, n = newton_step(z), residual(z), 0
-        while residual(z + step / 2**n) > 0.9 * before and n < 6:  # halved until it helps
-            n += 1
-        z = z + step / 2**n
+    best, z, idle = x, x, 0
+    # the next product changes the model: a tenth of the first residual is enough
+    while residual(best) > 0.1 * residual(x) and idle < 25:
+        step, wanted = newton_step(z), 0.9 * residual(z)
+        # whole steps; after eight without progress, all but each eighth are divided by four
+        is_whole = idle < 8 or (idle + 1) % 8 == 0
+        ends = [z + 0.25**n * step for n in range(1 if is_whole else 8)]
+        z = next((end for end in ends if residual(end) <= wanted), min(ends, key=residual))
+        idle = 0 if residual(z) < 0.9 * residual(best) else idle + 1
         best = min(best, z, key=residual)
     return lam.project(best)
 

@@ -21,8 +21,8 @@ SPEC.loader.exec_module(dense)
 #: The requested relative residual; in the two methods its rho is a lower bound of 1 / sigma_max,
 #: but not always the same one, which changes the residual by a factor near 1.
 RTOL, OTHER_RHO = 1e-6, 1.5
-#: Difference between the numbers of products. Among 120 problems it was 0 in all; rounding, which
-#: differs between processors, may decide whether a last product is needed.
+#: Difference between the numbers of products. It is 0 for all 20 problems; rounding, which differs
+#: between processors, may decide whether a last product is needed.
 MARGIN = 1
 
 
