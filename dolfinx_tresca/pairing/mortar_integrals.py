@@ -10,6 +10,7 @@ from typing import TypeAlias
 
 from mpi4py import MPI
 
+import basix
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -24,6 +25,7 @@ from dolfinx_tresca.pairing.facets import (
     project,
     quadrature,
     rounding_of,
+    tabulate,
 )
 from dolfinx_tresca.pairing.pieces import AT_ONCE, Pieces, flattened
 from dolfinx_tresca.pairing.visibility import SelfContact, Visibility, overlaps
@@ -186,9 +188,13 @@ class MortarIntegrals(FacetIntegrals):
         self._visibility = Visibility(self._pieces, self._partners, body)
         simplex = "interval" if facets.dim == 1 else "triangle"
         x, w = quadrature(simplex, self._exactness())
-        # quadrature points (q, dim + 1), their weights (q,), and the map of values there to corners
+        # quadrature points (q, dim + 1) and their weights (q,)
         self._barycentric, self._weights = np.column_stack([1.0 - x.sum(axis=1), x]), w / w.sum()
-        self._to_corners = np.linalg.pinv(self._barycentric).T
+        # the map of values there to those, on a grid, of the quadratic function that fits them best
+        grid = basix.create_lattice(basix.CellType[simplex], 4, basix.LatticeType.equispaced, True)
+        order = 2 if len(w) >= 3 * facets.dim else 1  # flat surfaces have linear distances
+        fit, on_grid = (tabulate(simplex, order, 0, points)[0] for points in (x, grid))
+        self._to_grid = np.linalg.pinv(fit).T @ on_grid.T
         self._area, count = self._pieces.areas, len(self._pieces.facet)
         self._rounding = rounding_of(self._pieces.points) * self._area
 
@@ -227,7 +233,7 @@ class MortarIntegrals(FacetIntegrals):
         elif facets.has_exact_surface:
             degree = max(degree, 1 + OFFSET_DEGREE)  # the hats are linear
         elif not (self._surface.is_flat and self._partner_surface.is_flat):
-            degree = max(degree, 3)  # the sagitta is quadratic, the hats and normals are linear
+            degree = max(degree, 4)  # sagittas are quadratic, hats and normals linear
         return degree + facets.axisymmetric  # the radius is linear
 
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
@@ -264,8 +270,8 @@ class MortarIntegrals(FacetIntegrals):
             opposite[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
             weight = seen * ~is_primary
         means, q = self._quantities(cut), len(self._weights)
-        # least distance of each simplex: of the linear function that fits the distances best
-        least = (means[:, 0].reshape(-1, q) @ self._to_corners).min(axis=1)
+        # least distance of each simplex
+        least = (means[:, 0].reshape(-1, q) @ self._to_grid).min(axis=1)
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
         # sums over each of the pairs that overlap: its simplices follow each other from a start on
         pairs, starts = np.unique(cut.pair, return_index=True)

@@ -316,7 +316,13 @@ def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
     """Return the nearest points (3, n) of a surface or a curve to points (3, n)."""
     if model.getType(*entity) == BUILT_IN_SURFACE and not _is_flat(model, *entity):
         return _nearest_by_gauss_newton(model, entity[1], points)
-    return np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
+    nearest = np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
+    # of an arc that ends where its circle begins, OpenCASCADE's search misses this end
+    for end in np.ravel(model.getParametrizationBounds(*entity) if entity[0] == 1 else ()):
+        place = np.reshape(model.getValue(*entity, [end]), (3, 1))
+        nearer = np.linalg.norm(place - points, axis=0) < np.linalg.norm(nearest - points, axis=0)
+        nearest[:, nearer] = place
+    return nearest
 
 
 def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:

@@ -228,14 +228,13 @@ def hint_at_scene(
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
-        sides = [paired.nodes]
-        if pair.obstacle is None:
-            facets = pair.facet_tags.find(pair.primary)
-            nodes = fem.locate_dofs_topological(V, pair.facet_tags.dim, facets)
-            sides.append(nodes[nodes < V.dofmap.index_map.size_local])
-        counts = [np.bincount(bodies.label[side], minlength=bodies.count) for side in sides]
+        counts = []
+        for tag in (pair.secondary, pair.primary)[: 2 if pair.obstacle is None else 1]:
+            nodes = fem.locate_dofs_topological(V, dim - 1, pair.facet_tags.find(tag))
+            nodes = nodes[nodes < V.dofmap.index_map.size_local]
+            counts.append(np.bincount(bodies.label[nodes], minlength=bodies.count))
         touches = reduce_array(comm, counts) > 0  # (sides, bodies)
-        if len(sides) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
+        if len(touches) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
             warn(
                 comm,
                 "both sides of %s are on body %d: it touches itself. If these should be two "

@@ -51,3 +51,22 @@ def test_curved_surfaces_have_the_same_gaps_on_any_number_of_ranks(comm, kind):
         operators = scene.operators()
         gaps.append(global_vector(ranks, points_of(scene, operators), operators.gap))
     assert np.abs(gaps[0] - gaps[1]).max() <= 1e4 * EPS
+
+
+@pytest.mark.parametrize("kind", ["triangle", "tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_surfaces_that_touch_between_nodes_do_not_overlap(comm, kind, exchanged):
+    """A parabola touches a plane: means over facets may be less than all distances."""
+    axis, size = dim_of(kind) - 1, 0.2
+
+    def onto_parabola(x: np.ndarray) -> np.ndarray:
+        height = 0.5 * ((x[:, :axis] - 0.43) ** 2).sum(axis=1) - GAP
+        x[:, axis] += np.where(x[:, axis] > 1.0 + 0.5 * GAP, height, 0.0)
+        return x
+
+    scene = patch(comm, kind, upper=(5, 1), lower=(5, 1), distort=0.0, warp=onto_parabola, gap=GAP)
+    (pair,) = scene.pairs
+    if exchanged:
+        scene = scene.but(secondary=pair.primary, primary=pair.secondary)
+    gap = scene.operators().gap
+    assert -0.005 * size**2 <= gap.min() <= size**2

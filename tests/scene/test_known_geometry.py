@@ -169,3 +169,24 @@ def test_a_model_of_the_user_stays_current(tmp_path):
         assert len(gmsh.model.getEntities(0)) == 1
     finally:
         gmsh.finalize()
+
+
+def test_arcs_that_meet_where_their_circle_begins(caplog):
+    """Of a disc with a flat: OpenCASCADE's search for the nearest point misses an end of an arc."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize(interruptible=False)
+    occ = gmsh.model.occ
+    discs = [(2, occ.addDisk(0, 0, 0, radius, radius)) for radius in (10, 10, 20)]
+    bodies = occ.cut(discs[:1], [(2, occ.addRectangle(-9, 9, 0, 18, 3))])[0]
+    bodies += occ.cut(discs[2:], discs[1:2])[0]
+    occ.synchronize()
+    for tag, body in enumerate(bodies, start=1):
+        gmsh.model.addPhysicalGroup(2, [body[1]], tag)
+        curves = gmsh.model.getBoundary([body], oriented=False)
+        gmsh.model.addPhysicalGroup(1, [curve for _, curve in curves], 10 + tag)
+    gmsh.model.mesh.generate(2)
+    operators = problem_of(read_gmsh(gmsh.model, MPI.COMM_SELF), 11, 12).operators[0]
+    gmsh.finalize()
+    assert "not used" not in caplog.text
+    on_arc = operators.points[:, 1] < 8.5
+    assert np.abs(operators.gap[on_arc]).max() <= 1e-5
