@@ -10,9 +10,10 @@ from typing import TypeAlias
 
 from mpi4py import MPI
 
-import basix
 import numpy as np
 from scipy.spatial import cKDTree
+
+import basix
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, dots, unit
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, warn

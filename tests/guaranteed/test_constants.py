@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 from functools import cached_property
 
-import basix
 import numpy as np
 import pytest
+
+import basix
 
 from dolfinx_tresca.guaranteed.cells import (
     POINCARE,
