@@ -193,8 +193,8 @@ class MortarIntegrals(FacetIntegrals):
         self._barycentric, self._weights = np.column_stack([1.0 - x.sum(axis=1), x]), w / w.sum()
         # the map of values there to those, on a grid, of the quadratic function that fits them best
         grid = basix.create_lattice(basix.CellType[simplex], 4, basix.LatticeType.equispaced, True)
-        order = 2 if len(w) >= 3 * facets.dim else 1  # flat surfaces have linear distances
-        fit, on_grid = (tabulate(simplex, order, 0, points)[0] for points in (x, grid))
+        degree = 2 if len(w) >= 3 * facets.dim else 1  # flat surfaces have linear distances
+        fit, on_grid = (tabulate(simplex, degree, 0, points)[0] for points in (x, grid))
         self._to_grid = np.linalg.pinv(fit).T @ on_grid.T
         self._area, count = self._pieces.areas, len(self._pieces.facet)
         self._rounding = rounding_of(self._pieces.points) * self._area
