@@ -78,9 +78,6 @@ class SmoothSurface:
         across: (n, k, 3) outward unit normals of the smooth patches behind the sharp edges at each
             facet (`_normals_across_edges`). At the ends of a curve (2D) the body is taken to go on
             at right angles, as at the corner of a box.
-        turns_to_ends: (n,) the `turns` [rad], but larger where normals are less accurate, so that
-            the partner's decide: next to a kink those of the mean normals there, and at the ends of
-            the smooth surface at least a right angle.
         corner_normals: (n, corners, 3) outward unit normals of the surface at corners of facets.
     """
 
@@ -99,10 +96,10 @@ class SmoothSurface:
         cosines = dots(self.corner_normals, self._facet_normals[:, None])
         self._height_factors = self._heights_of_pairs(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
-        turns_at_kinks = turned_angles(cosines)
-        kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
-        leaning = self._facet_normals[:, None] - self.corner_normals
-        self.corner_normals += kinked[:, None, None] * leaning
+        kinked = (1.0 - smooth) * np.clip(turned_angles(cosines) / KINK_ANGLE - 1.0, 0.0, 1.0)
+        self._mean_normals, kinked = self.corner_normals, kinked[:, None, None]
+        self.corner_normals = (1.0 - kinked) * self._mean_normals
+        self.corner_normals += kinked * self._facet_normals[:, None]
         # where the geometry is known, its normals take the place of all others
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
@@ -112,7 +109,6 @@ class SmoothSurface:
             self.corner_normals[self._exact] = normals
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
-        turns_at_kinks[self._exact] = self.turns[self._exact]
         self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
         # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim: a
         # slab of one layer of cells has no other facets. Facets whose geometry is known have none
@@ -123,9 +119,7 @@ class SmoothSurface:
             ahead *= (at_rim / np.linalg.norm(ahead, axis=2))[:, :, None]
             self.across = np.concatenate([self.across, ahead], axis=1)
         flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
-        at_end = at_edge | at_rim.any(axis=1) & ~flat & ~self._exact
-        to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
-        self.turns_to_ends = np.where(at_end, to_ends, turns_at_kinks)
+        self._at_end = at_edge | at_rim.any(axis=1) & ~flat & ~self._exact
 
     def _heights_of_pairs(self, smooth: Array, cosines: Array) -> Array:
         """Return the factors (n, pairs) of h_c h_d in the height of the fitted surface [length].
@@ -218,6 +212,21 @@ class SmoothSurface:
             normals[exact] = facets.exact_normals_at(facet[exact], x[exact])
         return offsets, normals
 
+    def turns_along(self, facet: Indices, lean: Array, to_ends: bool = False) -> Array:
+        """Return the angles [rad] by which normals turn over facets (n,) along vectors (n, 3).
+
+        A cylinder turns round its axis, and not along it. With `to_ends` the angles are larger
+        where normals are less accurate, so that the partner's decide: next to a kink those of the
+        mean normals there, and at the ends of the smooth surface at least a right angle.
+        """
+        normals = self._facet_normals[facet]
+        along = lean - dots(lean, normals)[:, None] * normals
+        of_corners = (self._mean_normals if to_ends else self.corner_normals)[facet]
+        length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
+        sines = 0.5 * np.ptp(of_corners @ along[:, :, None], axis=(1, 2)) / length
+        turns = 2.0 * np.arcsin(np.minimum(sines, 1.0))
+        return np.maximum(turns, 0.5 * np.pi * (to_ends & self._at_end[facet]))
+
     def may_touch(
         self,
         facet: Indices,
@@ -233,7 +242,8 @@ class SmoothSurface:
         touch if the normal of the opposite point is opposed to the edge, but not if it is opposed
         to the patch across the edge, since the contact is on that patch.
         """
-        turned = self.turns[facet] + partner.turns[partner_facet]
+        lean = normals + partner_normals
+        turned = self.turns_along(facet, lean) + partner.turns_along(partner_facet, lean)
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
         cosine = -dots(normals, partner_normals)
         at_edge, across_edge = np.zeros((2, len(facet)), dtype=np.bool_)

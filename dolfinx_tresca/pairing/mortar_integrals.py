@@ -366,7 +366,8 @@ class MortarIntegrals(FacetIntegrals):
         """Return the six quantities (points, 6) whose means are `FacetIntegrals.means`."""
         surface, partner_surface, point = self._surface, self._partner_surface, cut.pair_of_point
         facets, own, theirs = surface.facets, cut.secondary, cut.primary
-        turns = surface.turns_to_ends[own.facet], partner_surface.turns_to_ends[theirs.facet]
+        lean, sides = own.normals + theirs.normals, ((surface, own), (partner_surface, theirs))
+        turns = (smooth.turns_along(side.facet, lean, to_ends=True) for smooth, side in sides)
         normals = contact_normals(own.normals, theirs.normals, *turns)
         # where facets coincide, so do the surfaces: at the rim of one side the fitted ones differ
         is_fitted = not facets.has_exact_surface
