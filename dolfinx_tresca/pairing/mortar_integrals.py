@@ -308,7 +308,7 @@ class MortarIntegrals(FacetIntegrals):
         weight = weight * np.repeat(~hidden, q) * (np.abs(apart) <= limit[piece])
         weight = self._without_covered(cut, apart, weight)
         own, theirs = (secondary.facet, secondary.normals), (primary.facet, primary.normals)
-        weight = weight * self._surface.may_touch(*own, self._partner_surface, *theirs)
+        weight = weight * self._surface.may_touch(own, self._partner_surface, theirs)
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
         behind = np.abs(apart) - nearest[piece]
