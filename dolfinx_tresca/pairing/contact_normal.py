@@ -221,7 +221,7 @@ class SmoothSurface:
         sines = 0.5 * np.ptp(of_corners @ along[:, :, None], axis=(1, 2))  # times the length
         cosines = np.sqrt(np.maximum(dots(along, along) - sines**2, 0.0))
         least = 0.5 * np.pi * (to_ends & self._at_end[facet])
-        return np.maximum(2.0 * np.arctan2(sines, cosines), least)
+        return np.asarray(np.maximum(2.0 * np.arctan2(sines, cosines), least))
 
     def may_touch(
         self, own: tuple[Indices, Array], partner: SmoothSurface, theirs: tuple[Indices, Array]
@@ -298,9 +298,8 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     offset = nodes.points[neighbour] - nodes.points[node]
     # the fit is in units of the distance of neighbours, along tangents and the mean normal
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
-    spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
-    offset = offset / spacing[node][:, None]
-    x, y, height = (dots(offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals))
+    spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))[node]
+    x, y, height = (dots(offset, axis[node]) / spacing for axis in (x_axis, y_axis, nodes.normals))
     # equal weights of the last two terms make the fit independent of the choice of axes
     terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
     matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))

@@ -378,8 +378,7 @@ class MortarIntegrals(FacetIntegrals):
         sagitta = dots(to_surface - to_partner, normals)
         # not the distance of the facets minus both heights: if these are much larger than the
         # distance, the difference would lose accuracy
-        apart = theirs.height - own.height
-        between = apart[:, None] * self._pieces.normals[cut.piece[point]]
+        between = (theirs.height - own.height)[:, None] * self._pieces.normals[cut.piece[point]]
         distance = dots(between + to_partner - to_surface, normals)
         return np.column_stack([distance, secondary_sagitta, sagitta, normals])
 
