@@ -6,7 +6,8 @@ normals turn from facet to facet. The first variation of the gap is the jump of 
 along the normal of the side whose normal is better known: at a kink, on a chamfer, next to a sharp
 edge or at a rim, this is the partner's. So the contact normal is the mean of the own normal and of
 the reversed normal of the partner, each weighted by the inverse square of the angle by which the
-side's normal turns over the facet there. If the sides are exchanged, it is reversed.
+side's normal turns over the facet there, in the direction in which the two normals differ: a bore
+turns round its shaft, and not along it. If the sides are exchanged, the normal is reversed.
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
 vector between the surfaces, projected onto this direction, so that the rows of N are its variation.
@@ -78,31 +79,27 @@ class SmoothSurface:
         across: (n, k, 3) outward unit normals of the smooth patches behind the sharp edges at each
             facet (`_normals_across_edges`). At the ends of a curve (2D) the body is taken to go on
             at right angles, as at the corner of a box.
-        turns_to_ends: (n,) the `turns` [rad], but larger where normals are less accurate, so that
-            the partner's decide: next to a kink those of the mean normals there, and at the ends of
-            the smooth surface at least a right angle.
         corner_normals: (n, corners, 3) outward unit normals of the surface at corners of facets.
     """
 
     def __init__(self, nodes: SurfaceNodes) -> None:
         """Fit the surface; valid for facets with two rings on this rank. Not collective."""
-        facets, rim = nodes.facets, _rim_nodes(nodes)
-        at_rim = rim[nodes.facet_nodes]
+        facets, at_rim = nodes.facets, _rim_nodes(nodes)[nodes.facet_nodes]
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)  # corners of each pair
         # the normals and heights of the fitted surface
         self.corner_normals = fitted_normals(nodes)[nodes.facet_nodes]
-        smooth = self._smoothness(nodes, rim)
+        smooth = self._smoothness(nodes, at_rim)
         if facets.dim == 1:
             self._turn_end_normals(at_rim, smooth)
         cosines = dots(self.corner_normals, self._facet_normals[:, None])
         self._height_factors = self._heights_of_pairs(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
-        turns_at_kinks = turned_angles(cosines)
-        kinked = (1.0 - smooth) * np.clip(turns_at_kinks / KINK_ANGLE - 1.0, 0.0, 1.0)
-        leaning = self._facet_normals[:, None] - self.corner_normals
-        self.corner_normals += kinked[:, None, None] * leaning
+        kinked = (1.0 - smooth) * np.clip(turned_angles(cosines) / KINK_ANGLE - 1.0, 0.0, 1.0)
+        self._mean_normals, kinked = self.corner_normals, kinked[:, None, None]
+        self.corner_normals = (1.0 - kinked) * self._mean_normals
+        self.corner_normals += kinked * self._facet_normals[:, None]
         # where the geometry is known, its normals take the place of all others
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
@@ -112,20 +109,16 @@ class SmoothSurface:
             self.corner_normals[self._exact] = normals
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
-        turns_at_kinks[self._exact] = self.turns[self._exact]
         self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
         # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim: a
         # slab of one layer of cells has no other facets. Facets whose geometry is known have none
         self.across = _normals_across_edges(nodes)
-        at_edge = self.across.any(axis=(1, 2))
+        flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
+        self._at_end = self.across.any(axis=(1, 2)) | at_rim.any(axis=1) & ~flat & ~self._exact
         if facets.dim == 1:
             ahead = self._corners - self._corners[:, ::-1]
             ahead *= (at_rim / np.linalg.norm(ahead, axis=2))[:, :, None]
             self.across = np.concatenate([self.across, ahead], axis=1)
-        flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
-        at_end = at_edge | at_rim.any(axis=1) & ~flat & ~self._exact
-        to_ends = np.maximum(turns_at_kinks, 0.5 * np.pi)
-        self.turns_to_ends = np.where(at_end, to_ends, turns_at_kinks)
 
     def _heights_of_pairs(self, smooth: Array, cosines: Array) -> Array:
         """Return the factors (n, pairs) of h_c h_d in the height of the fitted surface [length].
@@ -149,10 +142,10 @@ class SmoothSurface:
         normals = self.corner_normals
         return dots(normals[:, self._first], along), dots(normals[:, self._second], along)
 
-    def _smoothness(self, nodes: SurfaceNodes, rim: Mask) -> Array:
+    def _smoothness(self, nodes: SurfaceNodes, at_rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
 
-        Nodal normals at the rim (nodes,) are less accurate. So a facet there is as smooth as the
+        Nodal normals are less accurate `at_rim` (n, corners). So a facet there is as smooth as the
         least smooth facet around its other corners that is not at the rim itself. If there is none,
         the facets of a curve (2D) count as kinked; on a surface, such as a strip one facet wide,
         the least smooth of all facets around counts.
@@ -164,7 +157,6 @@ class SmoothSurface:
         unevenness = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
         own = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
         corner_nodes = nodes.facet_nodes
-        at_rim = rim[corner_nodes]
         inner = ~at_rim.any(axis=1)
         of_inner = nodes.reduced(np.minimum, own[inner, None], np.inf, inner)[corner_nodes]
         around = np.where(at_rim, np.inf, of_inner).min(axis=1, initial=np.inf)
@@ -204,8 +196,7 @@ class SmoothSurface:
         Each is at a reference point x (n, dim). The surface is the exact one if it is known, else
         the fitted one; bent facets are their own surface.
         """
-        facets = self.facets
-        hats = facets.hats(x)
+        facets, hats = self.facets, self.facets.hats(x)
         if facets.bent:
             normals = facets.area_vectors_at(facet, x)
         else:
@@ -218,32 +209,43 @@ class SmoothSurface:
             normals[exact] = facets.exact_normals_at(facet[exact], x[exact])
         return offsets, normals
 
+    def turns_along(self, facet: Indices, lean: Array, to_ends: bool = False) -> Array:
+        """Return the angles [rad] by which normals turn over facets (n,) along vectors (n, 3).
+
+        With `to_ends` they are larger where normals are less accurate, so that the partner's
+        decide: those of the mean normals at kinks; at least a right angle where the surface ends.
+        """
+        normals = self._facet_normals[facet]
+        along = lean - dots(lean, normals)[:, None] * normals
+        of_corners = (self._mean_normals if to_ends else self.corner_normals)[facet]
+        sines = 0.5 * np.ptp(of_corners @ along[:, :, None], axis=(1, 2))  # times the length
+        cosines = np.sqrt(np.maximum(dots(along, along) - sines**2, 0.0))
+        least = 0.5 * np.pi * (to_ends & self._at_end[facet])
+        return np.asarray(np.maximum(2.0 * np.arctan2(sines, cosines), least))
+
     def may_touch(
-        self,
-        facet: Indices,
-        normals: Array,
-        partner: SmoothSurface,
-        partner_facet: Indices,
-        partner_normals: Array,
+        self, own: tuple[Indices, Array], partner: SmoothSurface, theirs: tuple[Indices, Array]
     ) -> Mask:
         """Return whether this surface and a partner may touch at opposite points (n,).
 
-        They may if their outward unit normals (n, 3) are opposed (`OPPOSED_ANGLE`). A sharp edge
-        has all normals between those of its patches: beside an edge of either side, points may also
-        touch if the normal of the opposite point is opposed to the edge, but not if it is opposed
-        to the patch across the edge, since the contact is on that patch.
+        The points have facets (n,) and outward unit normals (n, 3), which must be opposed
+        (`OPPOSED_ANGLE`). A sharp edge has all normals between those of its patches: beside an edge
+        of either side, points may also touch if the normal of the opposite point is opposed to the
+        edge, but not if it is opposed to the patch across the edge, where the contact is.
         """
-        turned = self.turns[facet] + partner.turns[partner_facet]
+        (facet, normals), (partner_facet, partner_normals) = own, theirs
+        lean = normals + partner_normals
+        turned = self.turns_along(facet, lean) + partner.turns_along(partner_facet, lean)
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
         cosine = -dots(normals, partner_normals)
         at_edge, across_edge = np.zeros((2, len(facet)), dtype=np.bool_)
-        for own, facing, across in (
+        for outward, facing, across in (
             (normals, partner_normals, self.across[facet]),
             (partner_normals, normals, partner.across[partner_facet]),
         ):
             opposed = -dots(across, facing[:, None])
             # the reversed normal of the opposite point leans towards the patch across the edge
-            at_edge |= (opposed > cosine[:, None] * dots(across, own[:, None])).any(axis=1)
+            at_edge |= (opposed > cosine[:, None] * dots(across, outward[:, None])).any(axis=1)
             across_edge |= (opposed >= least[:, None]).any(axis=1)
         return np.asarray((cosine >= least) | at_edge & ~across_edge)
 
@@ -296,9 +298,8 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     offset = nodes.points[neighbour] - nodes.points[node]
     # the fit is in units of the distance of neighbours, along tangents and the mean normal
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
-    spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))
-    offset = offset / spacing[node][:, None]
-    x, y, height = (dots(offset, axis[node]) for axis in (x_axis, y_axis, nodes.normals))
+    spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))[node]
+    x, y, height = (dots(offset, axis[node]) / spacing for axis in (x_axis, y_axis, nodes.normals))
     # equal weights of the last two terms make the fit independent of the choice of axes
     terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
     matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))

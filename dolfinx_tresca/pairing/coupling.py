@@ -383,11 +383,10 @@ def _normals_and_room(
 ) -> tuple[Mask, Array]:
     """Return the mask (n,) of nodes with a row of N, and projections (n, d, d) onto those of T.
 
-    If several patches of a node on a sharp edge face the same place, such as an edge in the corner
-    of a box with the same nodes, they have the same jump. Each patch has a row of N as long as
-    these are linearly independent. Friction then acts only along the edge, on the patch with the
-    largest weight. Patches that face different places, such as the head of a bolt and its shank in
-    a hole with clearance, are independent of each other.
+    Patches of a node that face the same place, such as an edge in the corner of a box with the same
+    nodes, have the same jump: each has a row of N as long as these are linearly independent, and
+    friction acts only along the edge, on the patch with the largest weight. Others, such as those
+    of the head of a bolt and its shank in a hole with clearance, are independent of each other.
 
     Patches are given as in `SurfaceNodes`, by `numbers` (n,) of nodes; with sparse means over the
     primary side (n, nodes of V); normals (n, d); axes (n, d) along which friction may act; and (n,)

@@ -315,7 +315,7 @@ class MortarIntegrals(FacetIntegrals):
         weight = weight * np.repeat(~hidden, q) * (np.abs(apart) <= limit[piece])
         weight = self._without_covered(cut, apart, weight)
         own, theirs = (secondary.facet, secondary.normals), (primary.facet, primary.normals)
-        weight = weight * self._surface.may_touch(*own, self._partner_surface, *theirs)
+        weight = weight * self._surface.may_touch(own, self._partner_surface, theirs)
         nearest: Array = np.full(len(limit), np.inf)
         np.minimum.at(nearest, piece, np.where(weight > 0.0, np.abs(apart), np.inf))
         behind = np.abs(apart) - nearest[piece]
@@ -373,7 +373,8 @@ class MortarIntegrals(FacetIntegrals):
         """Return the six quantities (points, 6) whose means are `FacetIntegrals.means`."""
         surface, partner_surface, point = self._surface, self._partner_surface, cut.pair_of_point
         facets, own, theirs = surface.facets, cut.secondary, cut.primary
-        turns = surface.turns_to_ends[own.facet], partner_surface.turns_to_ends[theirs.facet]
+        lean, sides = own.normals + theirs.normals, ((surface, own), (partner_surface, theirs))
+        turns = (smooth.turns_along(side.facet, lean, to_ends=True) for smooth, side in sides)
         normals = contact_normals(own.normals, theirs.normals, *turns)
         # where facets coincide, so do the surfaces: at the rim of one side the fitted ones differ
         is_fitted = not facets.has_exact_surface
@@ -384,8 +385,7 @@ class MortarIntegrals(FacetIntegrals):
         sagitta = dots(to_surface - to_partner, normals)
         # not the distance of the facets minus both heights: if these are much larger than the
         # distance, the difference would lose accuracy
-        apart = theirs.height - own.height
-        between = apart[:, None] * self._pieces.normals[cut.piece[point]]
+        between = (theirs.height - own.height)[:, None] * self._pieces.normals[cut.piece[point]]
         distance = dots(between + to_partner - to_surface, normals)
         return np.column_stack([distance, secondary_sagitta, sagitta, normals])
 

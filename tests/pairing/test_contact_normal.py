@@ -85,6 +85,20 @@ Physical Curve("outside") = {1:4}; Physical Curve("inside") = {5, 6};
 Mesh.MeshSizeMax = Pi * R / 15; Mesh.MeshSizeExtendFromBoundary = 0;
 """
 
+#: A sleeve on a pole with a clearance of 0.05; its bore is chamfered at an angle.
+SLEEVE = """
+SetFactory("OpenCASCADE");
+DefineConstant[ angle = 45 ];
+Cylinder(1) = {0, 0, -4, 0, 0, 20, 10}; Cylinder(2) = {0, 0, 0, 0, 0, 12, 13};
+Cylinder(3) = {0, 0, 0, 0, 0, 12, 10.05};
+Cone(4) = {0, 0, 0, 0, 0, 1, 10.05 + Tan(angle * Pi / 180), 10.05};
+BooleanDifference{ Volume{2}; Delete; }{ Volume{3, 4}; Delete; }
+Physical Volume("pole") = {1}; Physical Volume("sleeve") = {2};
+inside() = Surface In BoundingBox{-12, -12, -0.1, 12, 12, 12.1};
+Physical Surface("inside") = {inside()}; Physical Surface("outside") = {1};
+Mesh.MeshSizeMax = 4;
+"""
+
 
 def read(comm, folder, text, **parameters):
     path = folder / "scene.geo"
@@ -188,6 +202,21 @@ def test_a_chamfered_slab_moves_along_a_wall(comm, folder, size, angle, sides):
         solution = problem.solve()
         solution.raise_if_failed()
         assert solution.normal_force == 0.0
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("sides", [("inside", "outside"), ("outside", "inside")])
+@pytest.mark.parametrize(("angle", "lean"), [(20, 0.02), (45, 1e-5)])
+def test_a_chamfered_sleeve_moves_along_its_pole(comm, folder, angle, lean, sides):
+    """Both turn round the axis, by 22 degrees a facet, but not along it: so do contact normals."""
+    tagged = read(comm, folder, SLEEVE, angle=angle)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (3,)))
+    prescribed = np.zeros(3 * V.dofmap.index_map.size_local, dtype=bool)
+    tags = (tagged.tags[name] for name in sides)
+    operators = pair_surfaces(V, prescribed, ContactPair(tagged.facet_tags, *tags, Frictionless()))
+    assert comm.allreduce(np.abs(operators.normals[:, 2]).max(initial=0.0), MPI.MAX) <= lean
+    if angle > 30:  # the chamfer is not paired
+        assert np.allclose(operators.gap, 0.05, rtol=1e-3)
 
 
 @pytest.mark.parallel
