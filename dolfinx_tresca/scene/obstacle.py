@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
 from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.errors import InputError, shown, shown_place
+from dolfinx_tresca.errors import InputError, PairingError, shown, shown_place
 from dolfinx_tresca.scene.friction import numbers_text
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
@@ -316,10 +316,13 @@ class RigidObstacle:
 
         Raises:
             InputError: the shapes differ, values are not finite, or normals do not have length 1.
+            PairingError: points are not finite, as where cells at the surface turn inside out.
         """
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
+        if not np.isfinite(points).all():
+            raise PairingError(f"the surface that faces {self} has folded over.")
         returned = self.signed_distance(self.motion.reversed_from(points.T))
         try:
             distance, normal = map(real_array, returned)
