@@ -48,7 +48,7 @@ class TangentSystem(LinearSystem):
         has_material: whether a function of the user computes coefficients of the forms.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        added_forces: forces [force] at owned unknowns that are added to the load, or None.
+        added_forces: forces [force] at owned unknowns that are added to the load.
         fraction: the continuation parameter t.
     """
 
@@ -85,7 +85,7 @@ class TangentSystem(LinearSystem):
         self._updated_at: Array | None = None
         self._forces: tuple[Array, Array] | None = None  # the latest u and R(u)
         self.added: PETSc.Mat | None = None
-        self.added_forces: Array | None = None
+        self.added_forces: Array | float = 0.0
         self.fraction = 1.0
         self._tangent = self.K  # without what is `added`, then another matrix than K
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
@@ -180,15 +180,23 @@ class TangentSystem(LinearSystem):
         return internal_forces + contact_forces - remaining_load
 
     def assemble_load(self) -> None:
-        """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
-        values = self.prescribed_values()
-        u = np.array(self.u.x.array[: len(self.prescribed)])
+        """Assemble the load of the step from u_k, for the present `fraction`. Collective.
+
+        Forces are zero where all are rounding of the terms that cancel in them: else unloaded
+        linear bodies would shrink from step to step until squares of numbers underflow.
+        """
+        values, u = self.prescribed_values(), np.array(self.u.x.array[: len(self.prescribed)])
+        terms = np.abs(self.K.getDiagonal().array * u)
         # prescribed values are eliminated: f is K (u_k - values) - R(u_k) + h at other unknowns
         u[self.prescribed] -= values
+        product, residual = self.product(u).array, self.residual(np.zeros_like(u))
+        terms += np.abs(product) + np.abs(residual)
         owned = self.f.x.array[: len(u)]
-        owned[:] = self.product(u).array - self.residual(np.zeros_like(u))
-        if self.added_forces is not None:
-            owned += self.added_forces
+        owned[:] = product - residual + self.added_forces
+        rows = self.moves, ~(self.moves | self.prescribed)
+        sizes = largest_abs(self.comm, *(array[row] for array in (owned, terms) for row in rows))
+        if sizes[0] <= ROUNDING * sizes[2] and sizes[1] <= ROUNDING * sizes[3]:
+            owned[:] = 0.0
         owned[self.prescribed] = values
         self.f.x.scatter_forward()
         self._check_load()
@@ -271,7 +279,7 @@ class TangentProblem(ContactSystem):
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
             return  # the tangent at u_k is factored already
         self._tangent_is_plain = False
-        added, self.tangent.added_forces = None, None
+        added, self.tangent.added_forces = None, 0.0
         if springs > 0.0:
             added, self.tangent.added_forces = self._contact_springs(springs)
             if proximal > 0.0:
