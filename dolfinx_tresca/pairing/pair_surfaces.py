@@ -29,6 +29,7 @@ from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owners_flags, own
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed, groups_of
 from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
+from dolfinx_tresca.scene.obstacle import resolved
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
 
@@ -77,7 +78,10 @@ def _pair(
     pair, primary = group.surfaces, None
     if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, sides[0]), displaced)
-        nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, displaced)
+        sizes = undeformed.sides[0].areas ** (1.0 / nodes.facets.dim)
+        total, count = reduce_array(comm, [sizes.sum(), float(len(sizes))])
+        obstacle = resolved(pair.obstacle, float(total / count))
+        nodes, integrals, carries = obstacle_integrals(comm, pair, obstacle, nodes, displaced)
         shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
         nodes, primary, integrals, shared = _overlap_integrals(V, group, sides, displaced)

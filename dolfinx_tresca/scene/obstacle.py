@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -15,13 +17,16 @@ from scipy.spatial.transform import Rotation
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import Array, unit
 from dolfinx_tresca.errors import InputError, PairingError, shown, shown_place
 from dolfinx_tresca.scene.friction import numbers_text
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
 SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
+
+#: Triangles whose normals differ by less lie in one plane: this is rounding of files [degree].
+FLAT_TURN = 0.1
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ class RigidObstacle:
     """
 
     # no other attributes can be set
-    __slots__ = ("_name", "centre", "constants", "given_forces", "motion", "signed_distance")
+    __slots__ = "_name _turning centre constants given_forces motion signed_distance".split()
 
     def __init__(
         self,
@@ -162,6 +167,8 @@ class RigidObstacle:
         self.signed_distance = signed_distance
         self.constants = tuple(constants)
         self._name = str(name)
+        # of a file: the signed distance whose normals turn within a length of edges
+        self._turning: Callable[[float], SignedDistance] | None = None
         self.centre: Array = np.zeros(3)
         self.motion = RigidMotion(np.eye(3), np.zeros(3))
         self.given_forces: GivenForces | None = None
@@ -172,7 +179,9 @@ class RigidObstacle:
 
         The gap is the distance from the triangles. Normals are interpolated between the corners of
         the triangles: facets that approximate a curved surface would show as ridges in the
-        pressure. All ranks read the file, with pyvista.
+        pressure. On triangles that are larger than the facets that face them, normals turn within
+        the size of a facet from an edge: faces are flat, as the gap is. All ranks read the file,
+        with pyvista.
 
         Args:
             path: file of a closed surface that pyvista reads: `.stl`, `.ply`, `.obj`, `.vtp` ...
@@ -199,21 +208,34 @@ class RigidObstacle:
         smoothed = surface.compute_normals(
             cell_normals=False, split_vertices=True, feature_angle=smooth
         )
-        triangles = smoothed.faces.reshape(-1, 4)[:, 1:]
+        flat, triangles = surface.cell_data["Normals"], smoothed.faces.reshape(-1, 4)[:, 1:]
         corners, normals = smoothed.points[triangles], smoothed.point_data["Normals"][triangles]
         # (triangles, 2, 3): times a vector from the first corner, the weights of the other corners
         weights_of = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
+        # the bends: edges that are taken for artefacts. Two unit normals with the angle t between
+        # them have a sum of the length 2 cos(t / 2)
+        sides = np.sort(surface.faces.reshape(-1, 4)[:, [1, 2, 2, 3, 3, 1]].reshape(-1, 2), axis=1)
+        sides, side = np.unique(sides, axis=0, return_inverse=True)
+        both = [np.bincount(side.ravel(), np.repeat(component, 3)) for component in flat.T]
+        turns = np.degrees(2.0 * np.arccos(np.minimum(np.linalg.norm(both, axis=0) / 2.0, 1.0)))
+        bent = sides[(turns > FLAT_TURN) & (turns <= smooth)]
+        bends = pyvista.PolyData(surface.points, lines=np.insert(bent, 0, 2, axis=1))
 
-        def distance(x: Array) -> tuple[Array, Array]:
+        def distance(x: Array, width: float = np.inf) -> tuple[Array, Array]:
             points = pyvista.PolyData(np.array(x.T))
             signed = points.compute_implicit_distance(surface)["implicit_distance"]
             cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
             weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
-            return signed, (normal / np.linalg.norm(normal, axis=1)[:, None]).T
+            if len(bent) and width < np.inf:
+                _, nearest = bends.find_closest_cell(places, return_closest_point=True)
+                away = np.linalg.norm(places - nearest, axis=1) / width
+                normal += np.clip(2.0 * away - 1.0, 0.0, 1.0)[:, None] * (flat[cells] - normal)
+            return signed, unit(normal).T
 
         obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
+        obstacle._turning = lambda size: partial(distance, width=size)
         obstacle.centre = np.array(surface.center)
         return obstacle
 
@@ -343,6 +365,14 @@ class RigidObstacle:
                 f"{shown_place(points[k])}."
             )
         return distance, (self.motion.rotation @ normal).T
+
+
+def resolved(obstacle: RigidObstacle, size: float) -> RigidObstacle:
+    """Return an obstacle as facets of some size see it; see `RigidObstacle.from_file`."""
+    result = copy(obstacle)
+    if obstacle._turning is not None:
+        result.signed_distance = obstacle._turning(size)
+    return result
 
 
 class RigidPlane(RigidObstacle):

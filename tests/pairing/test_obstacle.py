@@ -101,11 +101,9 @@ def test_invalid_obstacle_is_an_error(make, message):
         make()
 
 
-@pytest.mark.parametrize("name", OBSTACLES)
-def test_points_of_a_folded_surface_are_no_fault_of_the_obstacle(name):
-    """Newton's method then takes a smaller part of the load."""
-    with pytest.raises(PairingError, match="surface that faces .* has folded over"):
-        OBSTACLES[name].at(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]))
+def test_a_folded_surface_is_no_fault_of_the_obstacle():
+    with pytest.raises(PairingError, match="surface that faces a rigid plane"):
+        OBSTACLES["plane"].at(np.array([[0.0, np.nan, 0.0]]))
 
 
 UP = np.array([[0.0], [0.0], [1.0]])
