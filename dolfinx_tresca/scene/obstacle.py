@@ -25,9 +25,6 @@ from dolfinx_tresca.scene.friction import numbers_text
 #: outside, and to the gradients (3, n): unit normals that point away from the obstacle.
 SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
 
-#: Triangles whose normals differ by less lie in one plane: this is rounding of files [degree].
-FLAT_TURN = 0.1
-
 
 @dataclass(frozen=True)
 class RigidMotion:
@@ -177,11 +174,10 @@ class RigidObstacle:
     def from_file(path: str | PathLike[str], *, smooth: float = 30.0) -> RigidObstacle:
         """Return the obstacle inside a closed surface of triangles. Not collective.
 
-        The gap is the distance from the triangles. Normals are interpolated between the corners of
-        the triangles: facets that approximate a curved surface would show as ridges in the
-        pressure. On triangles that are larger than the facets that face them, normals turn within
-        the size of a facet from an edge: faces are flat, as the gap is. All ranks read the file,
-        with pyvista.
+        The gap is the distance from the triangles. Normals are interpolated between their corners,
+        since edges on a curved surface would show as ridges in the pressure; but on triangles that
+        are larger than a body's facets only within the size of a facet from such edges, and flat
+        faces stay flat. All ranks read the file, with pyvista.
 
         Args:
             path: file of a closed surface that pyvista reads: `.stl`, `.ply`, `.obj`, `.vtp` ...
@@ -205,21 +201,13 @@ class RigidObstacle:
             )
         surface.points = surface.points.astype(np.float64)
         surface = surface.compute_normals(auto_orient_normals=True)
-        smoothed = surface.compute_normals(
-            cell_normals=False, split_vertices=True, feature_angle=smooth
-        )
-        flat, triangles = surface.cell_data["Normals"], smoothed.faces.reshape(-1, 4)[:, 1:]
+        smoothed = surface.compute_normals(split_vertices=True, feature_angle=smooth)
+        flat, triangles = smoothed.cell_data["Normals"], smoothed.faces.reshape(-1, 4)[:, 1:]
         corners, normals = smoothed.points[triangles], smoothed.point_data["Normals"][triangles]
         # (triangles, 2, 3): times a vector from the first corner, the weights of the other corners
         weights_of = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
-        # the bends: edges that are taken for artefacts. Two unit normals with the angle t between
-        # them have a sum of the length 2 cos(t / 2)
-        sides = np.sort(surface.faces.reshape(-1, 4)[:, [1, 2, 2, 3, 3, 1]].reshape(-1, 2), axis=1)
-        sides, side = np.unique(sides, axis=0, return_inverse=True)
-        both = [np.bincount(side.ravel(), np.repeat(component, 3)) for component in flat.T]
-        turns = np.degrees(2.0 * np.arccos(np.minimum(np.linalg.norm(both, axis=0) / 2.0, 1.0)))
-        bent = sides[(turns > FLAT_TURN) & (turns <= smooth)]
-        bends = pyvista.PolyData(surface.points, lines=np.insert(bent, 0, 2, axis=1))
+        # edges that are taken for artefacts; sharp ones are boundaries of `smoothed`
+        bends = smoothed.extract_feature_edges(0.1, boundary_edges=False, non_manifold_edges=False)
 
         def distance(x: Array, width: float = np.inf) -> tuple[Array, Array]:
             points = pyvista.PolyData(np.array(x.T))
@@ -228,7 +216,7 @@ class RigidObstacle:
             weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
-            if len(bent) and width < np.inf:
+            if bends.n_cells and width < np.inf:
                 _, nearest = bends.find_closest_cell(places, return_closest_point=True)
                 away = np.linalg.norm(places - nearest, axis=1) / width
                 normal += np.clip(2.0 * away - 1.0, 0.0, 1.0)[:, None] * (flat[cells] - normal)
