@@ -323,9 +323,9 @@ class Newton:
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         is_unstable = any(step.is_proximal for step in self.steps)
-        if is_unstable and UNSTABLE_ELEMENTS not in self.failure:
+        if is_unstable and "unstable" not in self.failure:
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
-            text += UNSTABLE_ELEMENTS
+            text += UNSTABLE_ELEMENTS * self.problem.keeps_volume()
         return text
 
     def _equilibrium(self) -> str:
@@ -492,6 +492,7 @@ class Newton:
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
-                f"buckle or fold here, or cells are almost inside out{UNSTABLE_ELEMENTS}"
+                "buckle or fold here, or cells are almost inside out"
+                + UNSTABLE_ELEMENTS * self.problem.keeps_volume()
             )
         raise failure

@@ -68,8 +68,8 @@ def test_a_flat_face_beside_gentle_slopes_is_a_plane(comm, tmp_path):
     profile = (-1, 1), (8, 1), (-4, 2), (12, 2), (-4, 4), (12, 4)
     points = np.array([(x, y, z) for x, z in profile for y in (-5.0, 6.0)])
     path = saved(comm, tmp_path, pyvista.PolyData(points).delaunay_3d().extract_surface())
-    tools = RigidObstacle.from_file(path), RigidPlane((0.5, 0.5, 1.0), (0, 0, -1))
-    force, wanted = (pressed(comm, tool).pair_resultants[0].force for tool in tools)
+    roof, plane = RigidObstacle.from_file(path), RigidPlane((0.5, 0.5, 1.0), (0, 0, -1))
+    force, wanted = (pressed(comm, tool).pair_resultants[0].force for tool in (roof, plane))
     assert np.linalg.norm(force - wanted) <= 1e-4 * np.linalg.norm(wanted)
 
 
