@@ -46,8 +46,7 @@ def pair_all_surfaces(
     """Compute N, T and the gap of each pair, at the present positions of the nodes. Collective.
 
     V is a space of vectors of degree 1 or 2; `prescribed` (owned dofs,) tells which degrees of
-    freedom a Dirichlet condition prescribes. If `axisymmetric`, integrals are over rings about the
-    axis x = 0.
+    freedom are prescribed. If `axisymmetric`, integrals are over rings about the axis x = 0.
     """
     result: dict[int, PairOperators] = {}
     for group in groups_of(V, pairs):
@@ -193,8 +192,7 @@ def _surface_nodes(
 def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes) -> None:
     """Warn if two nodes of a side are at one place, since the surface is torn there. Collective.
 
-    Nodes that also belong to facets with other tags do not count: at the corners of adjacent
-    bricks, nodes of two bodies may coincide.
+    Nodes of facets with other tags, too, do not count: nodes of adjacent bricks may coincide.
     """
     comm, tags, own = V.mesh.comm, pair.facet_tags, owns(V, nodes.numbers)
     outside = tags.indices[tags.values != getattr(pair, side)]

@@ -403,19 +403,10 @@ class Newton:
         springs, proximal = ADDED[self.level]
         names = [f"contact {springs:g}"] * (springs > 0.0)
         names += [f"proximal {proximal:g}"] * (proximal > 0.0)
-        self.steps.append(
-            NewtonStep(
-                number=number,
-                fraction=self.problem.tangent.fraction,
-                correction=correction,
-                residual=residual,
-                contact_residual=solution.residuals[-1],
-                iterations=solution.iterations,
-                products=solution.products,
-                pressed=solution.counts.contact,
-                added=", ".join(names),
-            )
-        )
+        norms = correction, residual, solution.residuals[-1]
+        counts = solution.iterations, solution.products, solution.counts.contact
+        fraction = self.problem.tangent.fraction
+        self.steps.append(NewtonStep(number, fraction, *norms, *counts, ", ".join(names)))
 
     def _move_to(self, solution: ContactSolution) -> tuple[float, float, float, str]:
         """Make a step's displacement the present u, and measure the step. Collective.
@@ -489,10 +480,10 @@ class Newton:
             except StiffnessError as error:
                 failure = error
         if failure.evidence:
+            advice = UNSTABLE_ELEMENTS * self.problem.keeps_volume()
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
-                "buckle or fold here, or cells are almost inside out"
-                + UNSTABLE_ELEMENTS * self.problem.keeps_volume()
+                f"buckle or fold here, or cells are almost inside out{advice}"
             )
         raise failure

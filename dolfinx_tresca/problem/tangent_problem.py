@@ -244,8 +244,7 @@ class TangentProblem(ContactSystem):
     def advance_material(self, solution: StepSolution) -> None:
         """Let the user's `on_accept` make the material's state at a solution its history.
 
-        Before that, an error is raised if forces are out of balance at a converged solution: then
-        something has changed since the solve. Collective.
+        Before that, forces out of balance at a converged solution are an error. Collective.
         """
         if not self._has_history:
             return
@@ -375,8 +374,7 @@ class TangentProblem(ContactSystem):
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
 
-        Obstacles are at the end of their motion until a fraction less than 1 is tried, at the u and
-        contact forces of the start of the solve.
+        Obstacles are at the end of their motion until a fraction below 1 is tried, from the start.
         """
         if fraction < 1.0 and not self._loads_in_parts:
             self._place_obstacles(0.0)

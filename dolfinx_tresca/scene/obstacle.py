@@ -79,8 +79,7 @@ class RigidMotion:
         return cls(matrix[:, :3], matrix[:, 3])
 
 
-#: Names of the motions that an obstacle may be free to make, by the dimension of space: along the
-#: axes, and about them.
+#: Names of motions that an obstacle may be free to make, by dimension: along axes, and about them.
 FREEDOMS = {2: ("x", "y", "rz"), 3: ("x", "y", "z", "rx", "ry", "rz")}
 
 
@@ -107,9 +106,8 @@ class RigidObstacle:
     points is 0, and the third component of normals must be 0.
 
     An obstacle is moved by `move_to`, or by forces (`held_by`). It has no attributes for its
-    dimensions, but Constants on which its signed distance depends can be changed. Such a Constant
-    is a parameter of the scene, such as a position that is optimised: its change is not a motion,
-    and does not count as slip.
+    dimensions, but Constants on which its signed distance depends can be changed: parameters of the
+    scene, such as a position that is optimised, whose change is no motion and does not cause slip.
 
     Attributes:
         signed_distance: signed distance from the obstacle at its original place.
@@ -152,8 +150,7 @@ class RigidObstacle:
                 not warn of it. Controls of derivatives need not be listed.
 
         Raises:
-            InputError: `signed_distance` is not callable, or `constants` has an entry that is not a
-                `fem.Constant`.
+            InputError: `signed_distance` is not callable, or one of `constants` no `fem.Constant`.
         """
         if not callable(signed_distance):
             raise InputError(
@@ -181,8 +178,7 @@ class RigidObstacle:
 
         Args:
             path: file of a closed surface that pyvista reads: `.stl`, `.ply`, `.obj`, `.vtp` ...
-            smooth: angle [degree] between the normals of two triangles up to which their edge is
-                taken for an artefact; sharper edges stay edges.
+            smooth: angle [degree] of two triangles' normals up to which the edge is an artefact.
 
         Raises:
             InputError: the file cannot be read, its surface is not closed, or there is no pyvista.
@@ -258,8 +254,7 @@ class RigidObstacle:
 
         Args:
             translation: vector of 2 or 3 components [length].
-            rotation: angle about the z axis [rad], or axis of the rotation times the angle, a
-                vector of 3 components.
+            rotation: angle about the z axis [rad], or a vector (3,), the axis times the angle.
             about: a point on the axis, at the original place [length]; by default the centre of a
                 sphere, the given point of a plane or a cylinder, else the origin.
 
@@ -282,17 +277,14 @@ class RigidObstacle:
 
         Not collective. Contact forces and the given forces are in equilibrium along all free
         motions; the others stay as `move_to` prescribes them. A solve finds small motions from the
-        obstacle's present place, and `accept()` leaves the obstacle where it is then, so that it
-        may go far in many load steps. Its place in a solution is the `obstacle.motion` of a surface
-        in `ContactSolution.surfaces`.
+        present place, and `accept()` leaves the obstacle where it is then: it may go far in many
+        load steps. Its place in a solution is `ContactSolution.surfaces[k].obstacle.motion`.
 
         Args:
             force: vector of 2 or 3 components [force]; in 2D per unit of thickness.
-            moment: moment about the point `about`: about the z axis, or a vector of 3 components
-                [force length].
-            free: names of the free motions: "x", "y", "z" along the axes, "rx", "ry", "rz" about
-                them; None: all ("x", "y", "rz" in 2D, "y" with axisymmetry); (): none, the obstacle
-                is not held by forces any more.
+            moment: about the z axis or a vector (3,) [force length], with respect to `about`.
+            free: names of the free motions: "x", "y", "z" along axes, "rx", "ry", "rz" about them;
+                None: all ("x", "y", "rz" in 2D, "y" with axisymmetry); (): forces hold it no more.
             about: the point at which the force acts, and about which the obstacle turns, at the
                 original place [length]; by default as in `move_to`.
 
@@ -469,8 +461,7 @@ class RigidCylinder(RigidObstacle):
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
     """Return a function that returns the present value of a user's argument, as `check` returns it.
 
-    A Constant is checked at each call, other values only once. The arguments of `check` are the
-    name, for error messages, and the value.
+    A Constant is checked at each call, others once. `check` takes a name, for errors, and a value.
     """
     if isinstance(value, fem.Constant):
         check(name, value.value)
