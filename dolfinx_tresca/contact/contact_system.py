@@ -63,15 +63,12 @@ class ContactSystem(PetscOwner):
     Attributes:
         stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
         slides_far: whether at least one pair has finite sliding.
-        depends_on_start: whether the slip bound of a pair depends on the pressure, and a solution
-            maybe on where its solve starts.
-        friction: object that evaluates the slip bounds, and users' fields (its `values`), at the
-            nodes of the displacement.
+        depends_on_start: whether slip bounds depend on the pressure, and solutions on the start.
+        friction: evaluates slip bounds, and users' fields (its `values`), at displacement nodes.
         guess: displacements of earlier solves with this B, for first guesses of iterative solves.
         unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
             solves start and end, owned by the user; None for linear bodies.
-        frames_at_rest: frames of undeformed linear bodies, which move in configurations of finite
-            sliding; None: no body has a frame.
+        frames_at_rest: frames of bodies at rest, which finite sliding moves; None: there are none.
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
 

@@ -39,20 +39,17 @@ ALIKE = 0.1
 #: configurations that are not alike at which the next one lies. The other is the ratio of a change
 #: of forces or gaps to the previous change. If it is below both this number and the ratio of the
 #: residuals u - w, the change is small by chance, and the previous change times the smaller of the
-#: two takes its place: without this, 28 of 200 random scenes had more than ten times the requested
-#: error, with it 8.
+#: two takes its place: 28 of 200 random scenes had over ten times the error without, 8 with this.
 LEAST_FRACTION = 0.1
 
 #: Number of successive configurations in which |u - w| grows, as where bodies snap. With 1, folds
-#: of a bellows whose contact passes from node to node do not converge; with 3, an edge that slides
-#: off a corner does not.
+#: of a bellows do not converge, whose contact moves on; with 3, an edge that slides off a corner.
 GROWING = 2
 
 #: Advice to users if the configurations do not converge.
 ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 
-#: Free bodies go on by at most this multiple of their last motion in the first configuration of a
-#: load step, and at most as far back as they came.
+#: Free bodies begin a load step with at most this multiple of their last motion, or -1 times it.
 MOST_CONTINUED = 2.0
 
 #: Configurations after which a solve gives up; convergence takes 5 to 12.
@@ -102,8 +99,7 @@ class FiniteSliding:
     leads back to where such a step led before, the equilibrium is stable, and bodies do not snap.
 
     Attributes:
-        change: relative change of contact forces or of gaps, whichever is larger, between the last
-            two configurations.
+        change: the larger relative change, of forces or of gaps, between the last configurations.
         error: estimate of the relative error of contact forces and gaps.
         configurations: number of configurations so far.
         snaps: whether a step has followed growing residuals, as where bodies snap.
@@ -245,9 +241,8 @@ class FiniteSliding:
     def _accelerated(self, path: list[Configuration]) -> Array:
         """Return the next w by Anderson's acceleration from like configurations. Collective.
 
-        With the residual r = u - w of the last configuration, and the changes dr and du of r and u
-        between successive ones as columns, it is u - du a, where a minimises |r - dr a|: the normal
-        equations are dr'dr a = dr'r (see `DEPENDENT`).
+        With r = u - w of the last configuration, and the changes dr and du of r and u between
+        successive ones as columns, it is u - du a. Here dr'dr a = dr'r: a minimises |r - dr a|.
         """
         newest, changes = path[-1], list(pairwise(path))
         residual_changes = np.array([b.u - b.w - (a.u - a.w) for a, b in changes])

@@ -24,8 +24,7 @@ from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, Ri
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 
-#: A cut is flat if 1 minus the cosine of the angle between any normal and their mean is at most
-#: this number (a tenth of a degree is 1.5e-6).
+#: A cut is flat if 1 - cos t is at most this for normals at angles t to their mean (0.08 degree).
 FLAT = 1e-6
 
 
@@ -180,9 +179,8 @@ class Obstacles:
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rates (pairs,) at which distances change with a control. Collective.
 
-        A change of a normal counts times the extent of the mesh. None stands for a direction along
-        which any obstacle that depends on the control changes. An obstacle that reads a Function
-        among the controls raises an error.
+        A change of a normal counts times the extent of the mesh. None: a direction along which all
+        obstacles that depend on the control change. One that reads a Function raises an error.
         """
         if direction is None:  # irrational ratios: changes by several values do not cancel
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))

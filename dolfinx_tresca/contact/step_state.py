@@ -72,8 +72,7 @@ class StepSolution:
 class StepState:
     """The state of a process of load steps: what the next solve depends on, beside its inputs.
 
-    Loads, prescribed values and the places to which the user moves obstacles are inputs. States are
-    never changed: each operation returns another one.
+    Loads, prescribed values and places of obstacles are inputs. Operations return another state.
 
     If friction depends on the pressure, the solution of a load step may depend on the tractions at
     which its solve starts: these must be tractions of the last accepted step, not of a trial solve.
@@ -83,8 +82,7 @@ class StepState:
         jump: B, to whose rows the arrays of this state belong. If the surfaces were paired anew
             since, its PETSc objects are destroyed.
         history: slip and dissipation of the accepted steps, and the origin of friction.
-        multipliers: (size,) multipliers of the last solve, at which the next solve starts unless it
-            returns to the accepted step.
+        multipliers: (size,) those of the last solve; the next one starts there or at `accepted`.
         motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) at the pairing.
         configuration: displacement [length] at which pairs with finite sliding are paired.
         geometry: displacement [length] at which the other pairs are paired.

@@ -250,8 +250,7 @@ class DualProgram:
     def _load_terms(self) -> tuple[float, Array]:
         """a(u, u) without contact, and the jump (size,) due to forces alone. Collective.
 
-        The first access takes a solve if forces act and displacements are prescribed. The energy
-        is that of K with the springs that fix bodies.
+        The first access may take a solve. The energy is that of K with the springs that fix bodies.
         """
         system, springs, u = self.jump.system, self.compliance.springs, self._u
         u.array = self._guess.load

@@ -92,7 +92,8 @@ class ProblemSummary:
             extremes = distance.min(initial=np.inf), (-distance).min(initial=np.inf)
             least, negated = reduce_array(comm, extremes, MPI.MIN)
             gap = f"gap {least:.3g}" + f" to {-negated:.3g}" * bool(least != -negated)
-            texts.append((f"{pair}, {kind}: {nodes} nodes", gap, pair.friction))
+            counted = f"{nodes} nodes" if nodes else "no node is paired"
+            texts.append((f"{pair}, {kind}: {counted}", gap * (nodes > 0), pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
 
         kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
@@ -108,7 +109,7 @@ class ProblemSummary:
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the table: the sizes, and the first pairs."""
         pair_rows = [
-            ("  pair", f"{pair}, {with_unit(gap, units, 'length')}, {law}")
+            ("  pair", f"{pair}, " + f"{with_unit(gap, units, 'length')}, " * bool(gap) + f"{law}")
             for pair, gap, law in self.pairs
         ]
         return [*self.size_rows, *abridged(pair_rows, "pairs")]

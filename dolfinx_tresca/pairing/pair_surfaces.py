@@ -29,6 +29,7 @@ from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owners_flags, own
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed, groups_of
 from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
+from dolfinx_tresca.scene.obstacle import resolved
 from dolfinx_tresca.scene.pair import ContactPair, SideName
 
 
@@ -45,8 +46,7 @@ def pair_all_surfaces(
     """Compute N, T and the gap of each pair, at the present positions of the nodes. Collective.
 
     V is a space of vectors of degree 1 or 2; `prescribed` (owned dofs,) tells which degrees of
-    freedom a Dirichlet condition prescribes. If `axisymmetric`, integrals are over rings about the
-    axis x = 0.
+    freedom are prescribed. If `axisymmetric`, integrals are over rings about the axis x = 0.
     """
     result: dict[int, PairOperators] = {}
     for group in groups_of(V, pairs):
@@ -77,7 +77,10 @@ def _pair(
     pair, primary = group.surfaces, None
     if pair.obstacle is not None:
         nodes = _surface_nodes(V, pair, "secondary", with_neighbours(V, sides[0]), displaced)
-        nodes, integrals, carries = obstacle_integrals(comm, pair, pair.obstacle, nodes, displaced)
+        sizes = undeformed.sides[0].areas ** (1.0 / nodes.facets.dim)
+        total, count = reduce_array(comm, [sizes.sum(), float(len(sizes))])
+        obstacle = resolved(pair.obstacle, float(total / count))
+        nodes, integrals, carries = obstacle_integrals(comm, pair, obstacle, nodes, displaced)
         shared: Mask = np.zeros(len(nodes.numbers), dtype=np.bool_)
     else:
         nodes, primary, integrals, shared = _overlap_integrals(V, group, sides, displaced)
@@ -189,8 +192,7 @@ def _surface_nodes(
 def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes) -> None:
     """Warn if two nodes of a side are at one place, since the surface is torn there. Collective.
 
-    Nodes that also belong to facets with other tags do not count: at the corners of adjacent
-    bricks, nodes of two bodies may coincide.
+    Nodes of facets with other tags, too, do not count: nodes of adjacent bricks may coincide.
     """
     comm, tags, own = V.mesh.comm, pair.facet_tags, owns(V, nodes.numbers)
     outside = tags.indices[tags.values != getattr(pair, side)]

@@ -383,8 +383,7 @@ def _offsets_of_tags(
 def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
     """Return the `Facets.offsets` of facets by the projections onto the pieces of their surface.
 
-    A facet belongs to the piece that is nearest to its corners; at an edge, where corners are on
-    several pieces, to the one nearest to its centre.
+    A facet belongs to the piece nearest to its corners; at edges of pieces, nearest to its centre.
     """
     points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
 
@@ -413,8 +412,7 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: i
 def straightened(V: Any, u: Array) -> Array:
     """Return u (nodes, dim) without what would bend edges beyond the degree of the geometry.
 
-    If V has a higher degree, nodes between vertices get the mean displacement of the vertices of
-    their edge, face or cell [length].
+    Nodes between vertices get the mean displacement of those of their edge, face or cell [length].
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):

@@ -31,8 +31,7 @@ FINER = 2.0**-0.5
 #: rounding would decide the roles, and most nodes would lose their multipliers.
 ORDER = np.array([0.49, 0.63, 0.60])
 
-#: Least distance of the two faces of one wall, relative to that in the undeformed mesh: walls are
-#: not compressed farther.
+#: Least distance of the two faces of a wall, relative to the undeformed one: no wall gets thinner.
 WALL_PART = 0.5
 
 

@@ -323,9 +323,9 @@ class Newton:
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
         is_unstable = any(step.is_proximal for step in self.steps)
-        if is_unstable and UNSTABLE_ELEMENTS not in self.failure:
+        if is_unstable and "unstable" not in self.failure:
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
-            text += UNSTABLE_ELEMENTS
+            text += UNSTABLE_ELEMENTS * self.problem.keeps_volume()
         return text
 
     def _equilibrium(self) -> str:
@@ -403,19 +403,10 @@ class Newton:
         springs, proximal = ADDED[self.level]
         names = [f"contact {springs:g}"] * (springs > 0.0)
         names += [f"proximal {proximal:g}"] * (proximal > 0.0)
-        self.steps.append(
-            NewtonStep(
-                number=number,
-                fraction=self.problem.tangent.fraction,
-                correction=correction,
-                residual=residual,
-                contact_residual=solution.residuals[-1],
-                iterations=solution.iterations,
-                products=solution.products,
-                pressed=solution.counts.contact,
-                added=", ".join(names),
-            )
-        )
+        norms = correction, residual, solution.residuals[-1]
+        counts = solution.iterations, solution.products, solution.counts.contact
+        fraction = self.problem.tangent.fraction
+        self.steps.append(NewtonStep(number, fraction, *norms, *counts, ", ".join(names)))
 
     def _move_to(self, solution: ContactSolution) -> tuple[float, float, float, str]:
         """Make a step's displacement the present u, and measure the step. Collective.
@@ -489,9 +480,10 @@ class Newton:
             except StiffnessError as error:
                 failure = error
         if failure.evidence:
+            advice = UNSTABLE_ELEMENTS * self.problem.keeps_volume()
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
-                f"buckle or fold here, or cells are almost inside out{UNSTABLE_ELEMENTS}"
+                f"buckle or fold here, or cells are almost inside out{advice}"
             )
         raise failure

@@ -30,8 +30,7 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import SolverRequest, StiffnessMethod
 from dolfinx_tresca.table import Row, Units
 
-#: Rows of a linear solution's table that mean nothing for nonlinear bodies: they describe the
-#: quadratic problem of the last step.
+#: Rows of a solution's table that describe the quadratic problem of the last Newton step alone.
 OF_LINEAR_BODIES = ("energy error", "energy")
 
 
@@ -207,8 +206,7 @@ class NonlinearContactProblem(ContactProcess):
         tangent = TangentSystem(J, F, bcs, u, entity_maps, before_assembly, axisymmetric, V)
         with destroyed_on_error(tangent):
             self._take(TangentProblem(tangent, on_accept, self.pairs, request))
-        self._solves = 0
-        self._level = 0
+        self._solves = self._level = 0
 
     def _solved_for(self, purpose: str) -> StepSolution:
         """Return the last solve, with the tangent at its solution, for a purpose. Collective.
@@ -261,8 +259,7 @@ class NonlinearContactProblem(ContactProcess):
         """Solve for the present loads, prescribed values and slip bounds. Collective.
 
         Args:
-            observer: function that is called before each iteration of each contact problem; see
-                `ContactProblem.solve`.
+            observer: function to be called before each iteration; see `ContactProblem.solve`.
             options: options of the contact algorithm that replace the problem's in this solve.
             newton: options of Newton's method that replace the problem's in this solve.
 

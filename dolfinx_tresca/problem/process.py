@@ -152,8 +152,7 @@ class ContactProcess(PetscOwner, Tabulated):
             unconverged: whether solutions that missed the accuracy, or left theory, are accepted.
 
         Raises:
-            ContactError: nothing was solved since the last step; or the history of a material has
-                changed since the last solve.
+            ContactError: nothing was solved since the last step, or a material's history changed.
             ConvergenceError: the last solve failed, or the scene has left linear theory.
         """
         with nullcontext() if self._tape is None else self._tape.adding_step():
@@ -204,8 +203,7 @@ class ContactProcess(PetscOwner, Tabulated):
         This continues from a state that another program computed. Collective.
 
         Args:
-            u: displacement [length] in the problem's space; None: the slip counts from the
-                undeformed state, as before the first step.
+            u: displacement [length] in the problem's space; None: that of undeformed bodies.
 
         Raises:
             InputError: u is no Function of the problem's space, or has NaN or infinite values.
@@ -232,16 +230,12 @@ class ContactProcess(PetscOwner, Tabulated):
                 slip of the nearest point of the same pair there, or zero where no point is near.
 
         Raises:
-            InputError: the solution has another number of pairs, or another dimension; or a pair
-                has finite sliding.
+            InputError: the numbers of pairs or the dimensions differ, or a pair has finite sliding.
             ConvergenceError: the solution did not converge.
         """
         dim = self.mesh.geometry.dim
-        if (
-            not isinstance(solution, ContactSolution)
-            or len(solution.surfaces) != len(self.pairs)
-            or solution.surfaces[0].mesh.geometry.dim != dim
-        ):
+        fits = isinstance(solution, ContactSolution) and len(solution.surfaces) == len(self.pairs)
+        if not fits or solution.surfaces[0].mesh.geometry.dim != dim:
             raise InputError(
                 f"continue_from needs a ContactSolution with {len(self.pairs)} pair(s) in {dim}D, "
                 f"found {shown(solution)}."
@@ -276,8 +270,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 in cells or at points of quadrature.
 
         Raises:
-            InputError: the file cannot be written, step is no integer, or material is no sequence
-                of Functions on the mesh.
+            InputError: the file cannot be written, or step or material are not as described.
         """
         number = integer(step)
         if number is None:
@@ -296,8 +289,7 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Args:
             path: path of a file that a problem on the same mesh with the same pairs has written.
-            material: Functions that receive the values of the Functions given to `save_state`, in
-                the same order and spaces.
+            material: Functions for the values of those of `save_state`, in order, on their spaces.
 
         Returns:
             the `step` that was saved.

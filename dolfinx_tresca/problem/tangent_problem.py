@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, collapse
-from dolfinx_tresca._base.functions import with_owned_values
+from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
@@ -33,11 +33,8 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
-    Here R are internal minus external forces, and h takes back what of the load is not applied yet.
-
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only, so the
-    solution of a converged iteration does not depend on it. Its springs in the contact have forces
-    beside, which vanish there where contact holds.
+    solution of a converged iteration does not depend on it.
 
     A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
     at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
@@ -48,7 +45,7 @@ class TangentSystem(LinearSystem):
         has_material: whether a function of the user computes coefficients of the forms.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        added_forces: forces [force] at owned unknowns that are added to the load, or None.
+        added_forces: forces [force] at owned unknowns that are added to the load.
         fraction: the continuation parameter t.
     """
 
@@ -85,7 +82,7 @@ class TangentSystem(LinearSystem):
         self._updated_at: Array | None = None
         self._forces: tuple[Array, Array] | None = None  # the latest u and R(u)
         self.added: PETSc.Mat | None = None
-        self.added_forces: Array | None = None
+        self.added_forces: Array | float = 0.0
         self.fraction = 1.0
         self._tangent = self.K  # without what is `added`, then another matrix than K
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
@@ -121,13 +118,11 @@ class TangentSystem(LinearSystem):
         """Check that Functions in the forms, other than u, are finite. Collective."""
         with errors_on_all_ranks(self.comm):
             fields = [field for field in self._functions if not np.isfinite(field.x.array).all()]
-            names = ", ".join(map(shown, fields))
+            text = f"values that are NaN or infinite in {', '.join(map(shown, fields))}."
             if fields and self.has_material:
-                raise StiffnessError(
-                    f"before_assembly() leaves values that are NaN or infinite in {names}."
-                )
+                raise StiffnessError(f"before_assembly() leaves {text}")
             if fields:
-                raise InputError(f"F or J depends on values that are NaN or infinite in {names}.")
+                raise InputError(f"F or J depends on {text}")
 
     def forget_material(self) -> None:
         """Let material and forces be computed again, even at the same u. Not collective."""
@@ -175,20 +170,27 @@ class TangentSystem(LinearSystem):
 
     def residual(self, contact_forces: Array) -> Array:
         """Return R(u_k) + B'lambda - h [force], zero where prescribed. Collective."""
-        internal_forces = np.where(self.prescribed, 0.0, self.all_forces())
         remaining_load = (1.0 - self.fraction) * self._initial_residual
-        return internal_forces + contact_forces - remaining_load
+        return np.where(self.prescribed, 0.0, self.all_forces()) + contact_forces - remaining_load
 
     def assemble_load(self) -> None:
-        """Assemble the load of the step from u_k, for the present `fraction`. Collective."""
-        values = self.prescribed_values()
-        u = np.array(self.u.x.array[: len(self.prescribed)])
+        """Assemble the load of the step from u_k, for the present `fraction`. Collective.
+
+        Forces are zero where all are rounding of the terms that cancel in them: else unloaded
+        linear bodies would shrink from step to step until squares of numbers underflow.
+        """
+        values, u = self.prescribed_values(), np.array(self.u.x.array[: len(self.prescribed)])
+        terms = np.abs(self.K.getDiagonal().array * u)
         # prescribed values are eliminated: f is K (u_k - values) - R(u_k) + h at other unknowns
         u[self.prescribed] -= values
+        product, residual = self.product(u).array, self.residual(np.zeros_like(u))
+        terms += np.abs(product) + np.abs(residual)
         owned = self.f.x.array[: len(u)]
-        owned[:] = self.product(u).array - self.residual(np.zeros_like(u))
-        if self.added_forces is not None:
-            owned += self.added_forces
+        owned[:] = product - residual + self.added_forces
+        rows = self.moves, ~(self.moves | self.prescribed)
+        sizes = largest_abs(self.comm, *(array[row] for array in (owned, terms) for row in rows))
+        if sizes[0] <= ROUNDING * sizes[2] and sizes[1] <= ROUNDING * sizes[3]:
+            owned[:] = 0.0
         owned[self.prescribed] = values
         self.f.x.scatter_forward()
         self._check_load()
@@ -196,6 +198,9 @@ class TangentSystem(LinearSystem):
 
 #: Nodes touch if their gap is at most this fraction of the largest component of the jumps B u.
 TOUCHING = 1e-6
+
+#: See `TangentProblem.keeps_volume`: Poisson's ratio from 0.44 on, in space from 0.41 to 0.45 on.
+INCOMPRESSIBLE = 8.0
 
 
 class TangentProblem(ContactSystem):
@@ -239,8 +244,7 @@ class TangentProblem(ContactSystem):
     def advance_material(self, solution: StepSolution) -> None:
         """Let the user's `on_accept` make the material's state at a solution its history.
 
-        Before that, an error is raised if forces are out of balance at a converged solution: then
-        something has changed since the solve. Collective.
+        Before that, forces out of balance at a converged solution are an error. Collective.
         """
         if not self._has_history:
             return
@@ -271,7 +275,7 @@ class TangentProblem(ContactSystem):
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
             return  # the tangent at u_k is factored already
         self._tangent_is_plain = False
-        added, self.tangent.added_forces = None, None
+        added, self.tangent.added_forces = None, 0.0
         if springs > 0.0:
             added, self.tangent.added_forces = self._contact_springs(springs)
             if proximal > 0.0:
@@ -370,8 +374,7 @@ class TangentProblem(ContactSystem):
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
 
-        Obstacles are at the end of their motion until a fraction less than 1 is tried, at the u and
-        contact forces of the start of the solve.
+        Obstacles are at the end of their motion until a fraction below 1 is tried, from the start.
         """
         if fraction < 1.0 and not self._loads_in_parts:
             self._place_obstacles(0.0)
@@ -441,6 +444,26 @@ class TangentProblem(ContactSystem):
         middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
         middle[0] *= not self.tangent.axisymmetric  # a radial translation would be a strain
         return with_owned_values(V, (x - middle)[: nodes.size_local])
+
+    def keeps_volume(self) -> bool:
+        """Return whether undeformed bodies hardly change their volume anywhere. Collective.
+
+        There, surface forces of a uniform change of volume exceed those of one of shape by the
+        factor `INCOMPRESSIBLE`. Mixed spaces are for such bodies.
+        """
+        tangent, x = self.tangent, owned_values(self._position())
+        if tangent.component is not None:
+            return True
+        self._tangent_is_plain = False
+        with replaced([self.u], [self._reference]):
+            tangent.assemble_stiffness()
+        shape = np.ones(x.shape[1])
+        shape[-1] = -2.0 if tangent.axisymmetric or len(shape) == 3 else -1.0
+        products = [tangent.moves * tangent.product(u.ravel()).array for u in (x, shape * x)]
+        arrays = tangent.K.getDiagonal().array * x.ravel(), *products
+        size, volume, change = (np.linalg.norm(a.reshape(x.shape), axis=1) for a in arrays)
+        keeps = (volume > ROUGH * size) & (volume > INCOMPRESSIBLE * change)
+        return bool(self.comm.allreduce(keeps.any(), op=MPI.LOR))
 
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""

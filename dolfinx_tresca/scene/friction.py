@@ -25,8 +25,7 @@ ScalarField: TypeAlias = (
     "float | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )
 
-#: A vector of three components on the contact surface; the Constants and Functions in it may be
-#: changed in place.
+#: A vector of three components on the contact surface; its Constants and Functions may change.
 VectorField: TypeAlias = (
     "Sequence[float] | fem.Constant | fem.Function | fem.Expression | Expr | Callable[[Any], Any]"
 )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -15,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_number, checked_vector, real_array
-from dolfinx_tresca._base.arrays import Array
-from dolfinx_tresca.errors import InputError, shown, shown_place
+from dolfinx_tresca._base.arrays import Array, unit
+from dolfinx_tresca.errors import InputError, PairingError, shown, shown_place
 from dolfinx_tresca.scene.friction import numbers_text
 
 #: Function from points x (3, n) to their signed distances (n,) from the obstacle [length], positive
@@ -77,8 +79,7 @@ class RigidMotion:
         return cls(matrix[:, :3], matrix[:, 3])
 
 
-#: Names of the motions that an obstacle may be free to make, by the dimension of space: along the
-#: axes, and about them.
+#: Names of motions that an obstacle may be free to make, by dimension: along axes, and about them.
 FREEDOMS = {2: ("x", "y", "rz"), 3: ("x", "y", "z", "rx", "ry", "rz")}
 
 
@@ -105,9 +106,8 @@ class RigidObstacle:
     points is 0, and the third component of normals must be 0.
 
     An obstacle is moved by `move_to`, or by forces (`held_by`). It has no attributes for its
-    dimensions, but Constants on which its signed distance depends can be changed. Such a Constant
-    is a parameter of the scene, such as a position that is optimised: its change is not a motion,
-    and does not count as slip.
+    dimensions, but Constants on which its signed distance depends can be changed: parameters of the
+    scene, such as a position that is optimised, whose change is no motion and does not cause slip.
 
     Attributes:
         signed_distance: signed distance from the obstacle at its original place.
@@ -131,7 +131,7 @@ class RigidObstacle:
     """
 
     # no other attributes can be set
-    __slots__ = ("_name", "centre", "constants", "given_forces", "motion", "signed_distance")
+    __slots__ = "_name _turning centre constants given_forces motion signed_distance".split()
 
     def __init__(
         self,
@@ -150,8 +150,7 @@ class RigidObstacle:
                 not warn of it. Controls of derivatives need not be listed.
 
         Raises:
-            InputError: `signed_distance` is not callable, or `constants` has an entry that is not a
-                `fem.Constant`.
+            InputError: `signed_distance` is not callable, or one of `constants` no `fem.Constant`.
         """
         if not callable(signed_distance):
             raise InputError(
@@ -162,6 +161,8 @@ class RigidObstacle:
         self.signed_distance = signed_distance
         self.constants = tuple(constants)
         self._name = str(name)
+        # of a file: the signed distance whose normals turn within a length of edges
+        self._turning: Callable[[float], SignedDistance] | None = None
         self.centre: Array = np.zeros(3)
         self.motion = RigidMotion(np.eye(3), np.zeros(3))
         self.given_forces: GivenForces | None = None
@@ -170,14 +171,14 @@ class RigidObstacle:
     def from_file(path: str | PathLike[str], *, smooth: float = 30.0) -> RigidObstacle:
         """Return the obstacle inside a closed surface of triangles. Not collective.
 
-        The gap is the distance from the triangles. Normals are interpolated between the corners of
-        the triangles: facets that approximate a curved surface would show as ridges in the
-        pressure. All ranks read the file, with pyvista.
+        The gap is the distance from the triangles. Normals are interpolated between their corners,
+        since edges on a curved surface would show as ridges in the pressure; but on triangles that
+        are larger than a body's facets only within the size of a facet from such edges, and flat
+        faces stay flat. All ranks read the file, with pyvista.
 
         Args:
             path: file of a closed surface that pyvista reads: `.stl`, `.ply`, `.obj`, `.vtp` ...
-            smooth: angle [degree] between the normals of two triangles up to which their edge is
-                taken for an artefact; sharper edges stay edges.
+            smooth: angle [degree] of two triangles' normals up to which the edge is an artefact.
 
         Raises:
             InputError: the file cannot be read, its surface is not closed, or there is no pyvista.
@@ -196,24 +197,29 @@ class RigidObstacle:
             )
         surface.points = surface.points.astype(np.float64)
         surface = surface.compute_normals(auto_orient_normals=True)
-        smoothed = surface.compute_normals(
-            cell_normals=False, split_vertices=True, feature_angle=smooth
-        )
-        triangles = smoothed.faces.reshape(-1, 4)[:, 1:]
+        smoothed = surface.compute_normals(split_vertices=True, feature_angle=smooth)
+        flat, triangles = smoothed.cell_data["Normals"], smoothed.faces.reshape(-1, 4)[:, 1:]
         corners, normals = smoothed.points[triangles], smoothed.point_data["Normals"][triangles]
         # (triangles, 2, 3): times a vector from the first corner, the weights of the other corners
         weights_of = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
+        # edges that are taken for artefacts; sharp ones are boundaries of `smoothed`
+        bends = smoothed.extract_feature_edges(0.1, boundary_edges=False, non_manifold_edges=False)
 
-        def distance(x: Array) -> tuple[Array, Array]:
+        def distance(x: Array, width: float = np.inf) -> tuple[Array, Array]:
             points = pyvista.PolyData(np.array(x.T))
             signed = points.compute_implicit_distance(surface)["implicit_distance"]
             cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
             weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
-            return signed, (normal / np.linalg.norm(normal, axis=1)[:, None]).T
+            if bends.n_cells and width < np.inf:
+                _, nearest = bends.find_closest_cell(places, return_closest_point=True)
+                away = np.linalg.norm(places - nearest, axis=1) / width
+                normal += np.clip(2.0 * away - 1.0, 0.0, 1.0)[:, None] * (flat[cells] - normal)
+            return signed, unit(normal).T
 
         obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
+        obstacle._turning = lambda size: partial(distance, width=size)
         obstacle.centre = np.array(surface.center)
         return obstacle
 
@@ -248,8 +254,7 @@ class RigidObstacle:
 
         Args:
             translation: vector of 2 or 3 components [length].
-            rotation: angle about the z axis [rad], or axis of the rotation times the angle, a
-                vector of 3 components.
+            rotation: angle about the z axis [rad], or a vector (3,), the axis times the angle.
             about: a point on the axis, at the original place [length]; by default the centre of a
                 sphere, the given point of a plane or a cylinder, else the origin.
 
@@ -272,17 +277,14 @@ class RigidObstacle:
 
         Not collective. Contact forces and the given forces are in equilibrium along all free
         motions; the others stay as `move_to` prescribes them. A solve finds small motions from the
-        obstacle's present place, and `accept()` leaves the obstacle where it is then, so that it
-        may go far in many load steps. Its place in a solution is the `obstacle.motion` of a surface
-        in `ContactSolution.surfaces`.
+        present place, and `accept()` leaves the obstacle where it is then: it may go far in many
+        load steps. Its place in a solution is `ContactSolution.surfaces[k].obstacle.motion`.
 
         Args:
             force: vector of 2 or 3 components [force]; in 2D per unit of thickness.
-            moment: moment about the point `about`: about the z axis, or a vector of 3 components
-                [force length].
-            free: names of the free motions: "x", "y", "z" along the axes, "rx", "ry", "rz" about
-                them; None: all ("x", "y", "rz" in 2D, "y" with axisymmetry); (): none, the obstacle
-                is not held by forces any more.
+            moment: about the z axis or a vector (3,) [force length], with respect to `about`.
+            free: names of the free motions: "x", "y", "z" along axes, "rx", "ry", "rz" about them;
+                None: all ("x", "y", "rz" in 2D, "y" with axisymmetry); (): forces hold it no more.
             about: the point at which the force acts, and about which the obstacle turns, at the
                 original place [length]; by default as in `move_to`.
 
@@ -316,10 +318,13 @@ class RigidObstacle:
 
         Raises:
             InputError: the shapes differ, values are not finite, or normals do not have length 1.
+            PairingError: points are not finite, as where cells at the surface turn inside out.
         """
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
             return np.zeros(0), np.zeros((0, 3))
+        if not np.isfinite(points).all():
+            raise PairingError(f"the surface that faces {self} has folded over.")
         returned = self.signed_distance(self.motion.reversed_from(points.T))
         try:
             distance, normal = map(real_array, returned)
@@ -340,6 +345,14 @@ class RigidObstacle:
                 f"{shown_place(points[k])}."
             )
         return distance, (self.motion.rotation @ normal).T
+
+
+def resolved(obstacle: RigidObstacle, size: float) -> RigidObstacle:
+    """Return an obstacle as facets of some size see it; see `RigidObstacle.from_file`."""
+    result = copy(obstacle)
+    if obstacle._turning is not None:
+        result.signed_distance = obstacle._turning(size)
+    return result
 
 
 class RigidPlane(RigidObstacle):
@@ -448,8 +461,7 @@ class RigidCylinder(RigidObstacle):
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
     """Return a function that returns the present value of a user's argument, as `check` returns it.
 
-    A Constant is checked at each call, other values only once. The arguments of `check` are the
-    name, for error messages, and the value.
+    A Constant is checked at each call, others once. `check` takes a name, for errors, and a value.
     """
     if isinstance(value, fem.Constant):
         check(name, value.value)

@@ -60,8 +60,7 @@ class ContactPair:
         primary: tag, or list of tags, of the primary side, or a `RigidObstacle`. With the same tag
             as `secondary`, or the same list of tags, all bodies with this surface may touch each
             other, and so may parts of one body. Of two bodies that meet, the body with finer facets
-            is secondary; if their facets are alike, the body with the smaller least x, then y, then
-            z is secondary.
+            is secondary; if their facets are alike, that with the smaller least x, then y, then z.
         friction: `Tresca`, `Coulomb`, `Frictionless`, `Bonded` or `Preload`.
         pairing: "auto" and "mortar" average the jump over the facets by dual basis functions; where
             the meshes of both sides match, this is the jump between a node and the node opposite

@@ -101,6 +101,11 @@ def test_invalid_obstacle_is_an_error(make, message):
         make()
 
 
+def test_a_folded_surface_is_no_fault_of_the_obstacle():
+    with pytest.raises(PairingError, match="surface that faces a rigid plane"):
+        OBSTACLES["plane"].at(np.array([[0.0, np.nan, 0.0]]))
+
+
 UP = np.array([[0.0], [0.0], [1.0]])
 
 FAULTS = {

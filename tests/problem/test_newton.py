@@ -355,6 +355,19 @@ def test_a_body_that_nothing_touches_any_more(comm, sliding):
     assert np.abs(scene.u.x.array).max(initial=0.0) <= 1e-12
 
 
+@pytest.mark.parallel
+def test_an_unloaded_linear_body_is_at_rest(comm):
+    """Rounding is no load: it would shrink from step to step until its squares underflow."""
+    scene = rubber_block(comm, (3, 3), clamped=True)
+    e, v = ufl.sym(ufl.grad(scene.u)), ufl.TestFunction(scene.u.function_space)
+    F = ufl.inner(2.0 * e + ufl.tr(e) * ufl.Identity(2), ufl.grad(v)) * ufl.dx
+    with scene.problem(F=F) as problem:
+        for height in (-0.05, 2.0, 0.0, 0.0):
+            scene.push.value[1] = height
+            problem.solve().raise_if_failed()
+    assert not scene.u.x.array.any()
+
+
 def falling_block(comm, n, degree, sliding="small"):
     """Return a block of rubber far above its obstacle."""
     down = -np.eye(len(n))[-1]

@@ -63,6 +63,17 @@ def test_the_flat_side_of_a_box_is_a_plane(comm, tmp_path):
 
 
 @pytest.mark.parallel
+def test_a_flat_face_beside_gentle_slopes_is_a_plane(comm, tmp_path):
+    """Slopes of 18 and 14 degrees are not sharp: normals turn to them, but near their edges."""
+    profile = (-1, 1), (8, 1), (-4, 2), (12, 2), (-4, 4), (12, 4)
+    points = np.array([(x, y, z) for x, z in profile for y in (-5.0, 6.0)])
+    path = saved(comm, tmp_path, pyvista.PolyData(points).delaunay_3d().extract_surface())
+    roof, plane = RigidObstacle.from_file(path), RigidPlane((0.5, 0.5, 1.0), (0, 0, -1))
+    force, wanted = (pressed(comm, tool).pair_resultants[0].force for tool in (roof, plane))
+    assert np.linalg.norm(force - wanted) <= 1e-4 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parallel
 def test_what_is_no_closed_surface_is_named(comm, tmp_path):
     with pytest.raises(InputError, match=r"the surface in .* is not closed: 4 edges"):
         RigidObstacle.from_file(

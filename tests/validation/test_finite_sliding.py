@@ -188,6 +188,7 @@ def test_the_path_of_nodes_that_leave(comm, folder):
         for x in (0.0, 0.3, 0.7):
             solution = moved_to(problem, motion, x)
         assert solution.counts.nodes == 0
+        assert "no node is paired, coefficient of friction" in str(problem)
         problem.save_state(folder / "state.npz")
     problem, motion = over_the_edge(comm, Coulomb(F))
     with problem:
