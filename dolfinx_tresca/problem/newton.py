@@ -61,8 +61,8 @@ SNAP, FAR = 0.5, 3.0
 
 #: Advice about elements that are unstable since they keep their volume.
 UNSTABLE_ELEMENTS = (
-    ". In bodies that hardly change their volume (Poisson's ratio from 0.45 on), elements with "
-    "displacements alone become unstable early: take a pressure as a further unknown, in a mixed "
+    ". Only in bodies that hardly change their volume (Poisson's ratio from 0.45 on): elements "
+    "with displacements alone become unstable early: take a pressure as a further unknown, a mixed "
     "space. Elements with a pressure wrinkle under large compression: keep a part of the energy of "
     "the volume in the displacement. See 'Nearly incompressible rubber' in the docs"
 )
@@ -325,7 +325,7 @@ class Newton:
         is_unstable = any(step.is_proximal for step in self.steps)
         if is_unstable and "unstable" not in self.failure:
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
-            text += UNSTABLE_ELEMENTS * self.problem.keeps_volume()
+            text += UNSTABLE_ELEMENTS
         return text
 
     def _equilibrium(self) -> str:
@@ -480,10 +480,9 @@ class Newton:
             except StiffnessError as error:
                 failure = error
         if failure.evidence:
-            advice = UNSTABLE_ELEMENTS * self.problem.keeps_volume()
             raise StiffnessError(
                 "the bodies are unstable, however contact holds them: in the tangent with springs "
                 f"at the contact and the undeformed bodies' stiffness, {failure.evidence}. Bodies "
-                f"buckle or fold here, or cells are almost inside out{advice}"
+                f"buckle or fold here, or cells are almost inside out{UNSTABLE_ELEMENTS}"
             )
         raise failure

@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
 from dolfinx_tresca._base.compat import EntityMaps, collapse
-from dolfinx_tresca._base.functions import owned_values, with_owned_values
+from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs
 from dolfinx_tresca._base.tolerances import ROUGH
 from dolfinx_tresca.contact.contact_system import ContactSystem
@@ -33,8 +33,11 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 class TangentSystem(LinearSystem):
     """K u = K u_k - R(u_k) + h: the tangent K at u_k and a load whose solution is the whole u.
 
+    Here R are internal minus external forces, and h takes back what of the load is not applied yet.
+
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only, so the
-    solution of a converged iteration does not depend on it.
+    solution of a converged iteration does not depend on it. Its springs in the contact have forces
+    beside, which vanish there where contact holds.
 
     A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
     at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
@@ -198,9 +201,6 @@ class TangentSystem(LinearSystem):
 
 #: Nodes touch if their gap is at most this fraction of the largest component of the jumps B u.
 TOUCHING = 1e-6
-
-#: See `TangentProblem.keeps_volume`: Poisson's ratio from 0.44 on, in space from 0.41 to 0.45 on.
-INCOMPRESSIBLE = 8.0
 
 
 class TangentProblem(ContactSystem):
@@ -444,26 +444,6 @@ class TangentProblem(ContactSystem):
         middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
         middle[0] *= not self.tangent.axisymmetric  # a radial translation would be a strain
         return with_owned_values(V, (x - middle)[: nodes.size_local])
-
-    def keeps_volume(self) -> bool:
-        """Return whether undeformed bodies hardly change their volume anywhere. Collective.
-
-        There, surface forces of a uniform change of volume exceed those of one of shape by the
-        factor `INCOMPRESSIBLE`. Mixed spaces are for such bodies.
-        """
-        tangent, x = self.tangent, owned_values(self._position())
-        if tangent.component is not None:
-            return True
-        self._tangent_is_plain = False
-        with replaced([self.u], [self._reference]):
-            tangent.assemble_stiffness()
-        shape = np.ones(x.shape[1])
-        shape[-1] = -2.0 if tangent.axisymmetric or len(shape) == 3 else -1.0
-        products = [tangent.moves * tangent.product(u.ravel()).array for u in (x, shape * x)]
-        arrays = tangent.K.getDiagonal().array * x.ravel(), *products
-        size, volume, change = (np.linalg.norm(a.reshape(x.shape), axis=1) for a in arrays)
-        keeps = (volume > ROUGH * size) & (volume > INCOMPRESSIBLE * change)
-        return bool(self.comm.allreduce(keeps.any(), op=MPI.LOR))
 
     def unbalanced_forces(self) -> fem.Function:
         """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""

@@ -229,7 +229,7 @@ def test_starts_that_lead_nowhere(comm) -> None:
         scene.u.interpolate(lambda x: np.stack([0.0 * x[0], -0.95 * x[1]]))
         with pytest.raises(StiffnessError, match=r"are unstable, .*begin at") as unstable:
             problem.solve()
-        assert not any(word in str(unstable.value) for word in ("Young", "Poisson"))
+        assert "Young" not in str(unstable.value)
         scene.u.x.array[:] = 0.0
         assert problem.solve().status is ContactStatus.CONVERGED
 
