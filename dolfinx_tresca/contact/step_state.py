@@ -82,7 +82,7 @@ class StepState:
         jump: B, to whose rows the arrays of this state belong. If the surfaces were paired anew
             since, its PETSc objects are destroyed.
         history: slip and dissipation of the accepted steps, and the origin of friction.
-        multipliers: (size,) those of the last solve; the next one starts there or at `accepted`.
+        multipliers: (size,) multipliers of the last solve; the next starts there or at `accepted`.
         motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) at the pairing.
         configuration: displacement [length] at which pairs with finite sliding are paired.
         geometry: displacement [length] at which the other pairs are paired.
