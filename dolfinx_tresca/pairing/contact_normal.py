@@ -127,8 +127,9 @@ class SmoothSurface:
         has a height beyond rounding. `cosines` (n, corners) are between nodal and facets' normals.
         """
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
-        # both is right to fourth order in the angle.
-        stretch = np.sqrt(0.5 * (cosines[:, self._first] + cosines[:, self._second]))
+        # both is right to fourth order in the angle. Folded facets have negative cosines.
+        means = 0.5 * (cosines[:, self._first] + cosines[:, self._second])
+        stretch = np.sqrt(np.maximum(means, 0.5))
         start, end = self._slopes()
         heights = 0.5 * (end - start) / stretch * smooth[:, None]
         facets, sizes = self.facets, np.ptp(self._corners, axis=1).max(axis=1)

@@ -372,7 +372,8 @@ class ContactProblem(ContactProcess):
     def record(self) -> Iterator[ProcessTape]:
         """Record the load steps that are accepted inside the block, for derivatives.
 
-        Not collective. Each recorded `accept()` checks that nothing has changed since the solve.
+        Not collective; each recorded `accept()` is collective, and assembles the load once more to
+        check that nothing has changed since the solve.
 
         Example:
             `with problem.record() as tape:`, then `solve()` and `accept()` for each step, and

@@ -203,7 +203,8 @@ class ContactProcess(PetscOwner, Tabulated):
         This continues from a state that another program computed. Collective.
 
         Args:
-            u: displacement [length] in the problem's space; None: that of undeformed bodies.
+            u: displacement [length] in the problem's space; None: the slip counts from the
+                undeformed state, as before the first step.
 
         Raises:
             InputError: u is no Function of the problem's space, or has NaN or infinite values.
@@ -270,7 +271,8 @@ class ContactProcess(PetscOwner, Tabulated):
                 in cells or at points of quadrature.
 
         Raises:
-            InputError: the file cannot be written, or step or material are not as described.
+            InputError: the file cannot be written, step is no integer, or material is no sequence
+                of Functions on the mesh.
         """
         number = integer(step)
         if number is None:
@@ -289,7 +291,8 @@ class ContactProcess(PetscOwner, Tabulated):
 
         Args:
             path: path of a file that a problem on the same mesh with the same pairs has written.
-            material: Functions for the values of those of `save_state`, in order, on their spaces.
+            material: Functions that receive the values of the Functions given to `save_state`, in
+                the same order and spaces.
 
         Returns:
             the `step` that was saved.
