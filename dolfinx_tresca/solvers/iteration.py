@@ -164,6 +164,8 @@ class Iterate:
         Known products may determine it, if another solve has ended at these multipliers.
         """
         problem, b = self._problem, self._problem.b
+        if norm(problem, x) == 0.0:
+            return self.return_to_zero()
         product, error = self.store.product(x)
         relative = FULL_ACCURACY if self._is_exact else ROUGH
         wanted = max(relative * self._energy_norm(x), self.finest)
@@ -275,13 +277,16 @@ class ModelNewton:
             iterate.return_to_zero()
             self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
-        # the start, moved to the nearest multipliers that are feasible and balance the loads
-        start = problem.admissible.project(start)
+        # the start, moved to the nearest multipliers that are feasible and balance the loads; soft
+        # springs keep the forces S c that they have at the start, and share in the rest
+        iterate.set_point(problem.admissible.project(start))
         if len(constraints) > 0:
-            shift = balance(constraints, problem.admissible, start=start).shift
-            start = problem.admissible.project(start + constraints.columns @ shift)
-        if norm(problem, start) > 0.0:
-            iterate.set_point(start)
+            x, values = iterate.x, constraints.values
+            if constraints.soft_directions[0].size:
+                values = values - constraints.softness @ self.constraint_guess()
+            missing = dataclasses.replace(constraints, values=values)
+            shift = balance(missing, problem.admissible, x, 1.0 / residual.rho).shift
+            iterate.set_point(problem.admissible.project(x + constraints.columns @ shift))
         target = self.find_constraint_multipliers()
         if self.options.rtol:  # gradients need not be more accurate than the requested residual
             iterate.finest = FORCING * self.history.residual_error
@@ -302,20 +307,26 @@ class ModelNewton:
         residuals. For floating bodies, c are rigid motions. The result is the solution of the
         model; None if there are no constraints, or the loads are zero. Collective.
         """
-        iterate, constraints, rho = self.iterate, self.problem.constraints, self.residual.rho
+        iterate, constraints = self.iterate, self.problem.constraints
         is_at_rest = self.residual.zero_is_solution and norm(self.problem, iterate.x) == 0.0
         if len(constraints) == 0 or is_at_rest:
             return None
-        # the first guess of c: the gradient projection step P(x - rho (r - G c)) = P(y + G z), with
-        # y = x - rho r and z = rho c, satisfies the constraints if G'P(y + G z) + S z / rho = e
-        x, r = iterate.x, iterate.r
-        section = self.problem.section_at(x, r)
-        shift = balance(constraints, section, x - rho * r, softness_factor=1.0 / rho).shift
-        iterate.c = np.asarray(shift / rho)
+        iterate.c = self.constraint_guess()
         target = self.target()
         iterate.c = target.c
         self.residual.set_constraint_multipliers(iterate.c)
         return target
+
+    def constraint_guess(self) -> Array:
+        """Return c (k,) with which a gradient projection step satisfies the constraints. Collective.
+
+        With y = x - rho r and z = rho c, the step from the present point leads to P(x - rho (r -
+        G c)) = P(y + G z), which satisfies the constraints if G'P(y + G z) + S z / rho = e.
+        """
+        problem, x, r, rho = self.problem, self.iterate.x, self.iterate.r, self.residual.rho
+        section = problem.section_at(x, r)
+        shift = balance(problem.constraints, section, x - rho * r, softness_factor=1.0 / rho).shift
+        return np.asarray(shift / rho)
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the estimate of sigma_max, or from 1 without loads."""
