@@ -164,16 +164,13 @@ class Iterate:
         Known products may determine it, if another solve has ended at these multipliers.
         """
         problem, b = self._problem, self._problem.b
-        if norm(problem, x) == 0.0:
-            return self.return_to_zero()
         product, error = self.store.product(x)
         relative = FULL_ACCURACY if self._is_exact else ROUGH
-        wanted = max(relative * self._energy_norm(x), self.finest)
+        # with an accuracy below the error of b, products with tiny multipliers would be this error
+        wanted = max(relative * self._energy_norm(x), self.finest, problem.b_error)
         self.x, self.r, self.error = x, product - b, error + problem.b_error
         if self.error > wanted:
-            # an accuracy below the error of b is useless: the product with tiny multipliers would
-            # consist of this error
-            self.r, self.error = problem.gradient(x, max(wanted, problem.b_error))
+            self.r, self.error = problem.gradient(x, wanted)
             self.store.add(x, self.r + b, self.error + problem.b_error)
 
     def _energy_norm(self, x: Array) -> float:
@@ -212,8 +209,8 @@ class ModelNewton:
     The model at the start may be solved before the first iteration.
 
     For Tresca's law and bodies held by supports, the part of the step with the least q is taken, so
-    that q decreases in each step. (Theorem 38.1 also needs gradient projection steps, which GIMSSN
-    takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken.
+    that q decreases in each step. Otherwise no quantity is guaranteed to decrease, and the whole
+    step is taken.
 
     Attributes:
         iterate: the present point; set, as are `residual` and `history`, by `choose_start`.
@@ -277,20 +274,20 @@ class ModelNewton:
             iterate.return_to_zero()
             self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
-        # the start, moved to the nearest multipliers that are feasible and balance the loads; soft
-        # springs keep the forces S c that they have at the start, and share in the rest
-        iterate.set_point(problem.admissible.project(start))
+        # the start, moved to the nearest multipliers that are feasible and balance the loads, less
+        # the forces S c that soft springs have at the start
+        start, carried = problem.admissible.project(start), constraints
+        if constraints.softness.count_nonzero() > 0:
+            iterate.set_point(start)
+            by_springs = constraints.softness @ self.constraint_guess()
+            carried = dataclasses.replace(constraints, values=constraints.values - by_springs)
         if len(constraints) > 0:
-            x, values = iterate.x, constraints.values
-            if constraints.soft_directions[0].size:
-                values = values - constraints.softness @ self.constraint_guess()
-            missing = dataclasses.replace(constraints, values=values)
-            shift = balance(missing, problem.admissible, x, 1.0 / residual.rho).shift
-            iterate.set_point(problem.admissible.project(x + constraints.columns @ shift))
+            shift = balance(carried, problem.admissible, start, 1.0 / residual.rho).shift
+            start = problem.admissible.project(start + constraints.columns @ shift)
+        iterate.set_point(start)
         target = self.find_constraint_multipliers()
         if self.options.rtol:  # gradients need not be more accurate than the requested residual
             iterate.finest = FORCING * self.history.residual_error
-        # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
                 residual.count(iterate.r + problem.b)  # the scale is at least |A x|
@@ -318,15 +315,13 @@ class ModelNewton:
         return target
 
     def constraint_guess(self) -> Array:
-        """Return c (k,) with which a gradient projection step satisfies the constraints. Collective.
+        """Return the c (k,) with which a gradient projection step fits the constraints. Collective.
 
-        With y = x - rho r and z = rho c, the step from the present point leads to P(x - rho (r -
-        G c)) = P(y + G z), which satisfies the constraints if G'P(y + G z) + S z / rho = e.
+        The step leads to P(x - rho (r - G c)) = P(y + G z), with y = x - rho r and z = rho c.
         """
         problem, x, r, rho = self.problem, self.iterate.x, self.iterate.r, self.residual.rho
         section = problem.section_at(x, r)
-        shift = balance(problem.constraints, section, x - rho * r, softness_factor=1.0 / rho).shift
-        return np.asarray(shift / rho)
+        return balance(problem.constraints, section, x - rho * r, 1.0 / rho).shift / rho
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the estimate of sigma_max, or from 1 without loads."""
@@ -360,12 +355,11 @@ class ModelNewton:
         if not stalls and not (misses and isinstance(self.iterate.store, WholeModel)):
             return None
         # without a solution: find the cause, where bounds depend on the pressure
-        if self.problem.admissible.has_given_bounds:
-            return ContactStatus.STAGNATED
-        self.deficit = friction_deficit(self.problem, target)
-        if is_limited and self.deficit is None:
-            return ContactStatus.STAGNATED
-        return ContactStatus.NO_FIXED_POINT
+        if not self.problem.admissible.has_given_bounds:
+            self.deficit = friction_deficit(self.problem, target)
+            if self.deficit is not None or not is_limited:
+                return ContactStatus.NO_FIXED_POINT
+        return ContactStatus.STAGNATED
 
     def complete_products(self) -> bool:
         """Compute A unless it is known or too large; return whether it is new. Collective."""
