@@ -279,8 +279,8 @@ class ModelNewton:
         start, carried = problem.admissible.project(start), constraints
         if constraints.softness.count_nonzero() > 0:
             iterate.set_point(start)
-            by_springs = constraints.softness @ self.constraint_guess()
-            carried = dataclasses.replace(constraints, values=constraints.values - by_springs)
+            e = constraints.values - constraints.softness @ self.constraint_guess()
+            carried = dataclasses.replace(constraints, values=e)
         if len(constraints) > 0:
             shift = balance(carried, problem.admissible, start, 1.0 / residual.rho).shift
             start = problem.admissible.project(start + constraints.columns @ shift)
@@ -320,8 +320,8 @@ class ModelNewton:
         The step leads to P(x - rho (r - G c)) = P(y + G z), with y = x - rho r and z = rho c.
         """
         problem, x, r, rho = self.problem, self.iterate.x, self.iterate.r, self.residual.rho
-        section = problem.section_at(x, r)
-        return balance(problem.constraints, section, x - rho * r, 1.0 / rho).shift / rho
+        y, section = x - rho * r, problem.section_at(x, r)
+        return np.asarray(balance(problem.constraints, section, y, 1.0 / rho).shift / rho)
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the estimate of sigma_max, or from 1 without loads."""
