@@ -43,9 +43,8 @@ def solve(
 ) -> DualSolution:
     """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
 
-    The default method, `ModelNewton`, finds multipliers x that minimise q over the section of the
-    friction cones at their own pressures. For Tresca's law, this section is Lambda. For Coulomb's
-    law, x solves Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983).
+    The default method is `ModelNewton`. For Coulomb's law, it finds multipliers x that solve
+    Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983).
 
     Raises:
         InputError: a method of the paper was chosen for slip bounds that depend on the pressure.
@@ -392,6 +391,5 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
     if balanced.satisfied:
         return None
     motion = balanced.shift / np.linalg.norm(balanced.shift)
-    slip = constraints.columns @ motion
-    friction = float(problem.reductions.total(np.array(section.dissipation(slip))))
-    return FrictionDeficit(motion, float(constraints.values @ motion), friction)
+    friction = problem.reductions.total(np.array(section.dissipation(constraints.columns @ motion)))
+    return FrictionDeficit(motion, float(constraints.values @ motion), float(friction))
