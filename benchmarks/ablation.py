@@ -317,11 +317,11 @@ def without_near_iteration(
     return semismooth_newton.newton_solution(problem, model, start)
 
 
-def unbalanced(constraints: Any, cones: Any, *arguments: Any, **start: Any) -> Balance:
+def unbalanced(constraints: Any, cones: Any, *start: Any) -> Balance:
     """Balance the loads, but leave the first multipliers of a solve as they are."""
     if start:
         return Balance(np.zeros(len(constraints)), constraints.values, satisfied=False)
-    return balance(constraints, cones, *arguments)
+    return balance(constraints, cones)
 
 
 def from_zero(state: iteration.ModelNewton, start: np.ndarray) -> Any:

@@ -323,7 +323,8 @@ class FloatingBodies:
 
         If they can up to rounding, `values` are changed such that they can exactly.
         """
-        balanced = balance(constraints, feasible_set, reserve=LOAD_RESERVE)
+        increased = replace(constraints, values=(1.0 + LOAD_RESERVE) * constraints.values)
+        balanced = balance(increased, feasible_set)
         if balanced.satisfied:
             return constraints
         most = 1e-8 * np.maximum(constraints.term_sums, np.abs(constraints.values))

@@ -193,8 +193,7 @@ def balance(
     constraints: EqualityConstraints,
     feasible_set: FeasibleSet,
     start: Array | None = None,
-    softness_factor: float | None = None,
-    reserve: float = 0.0,
+    softness_factor: float = 1.0,
 ) -> Balance:
     """Search for multipliers in Lambda that satisfy equations: they balance the loads. Collective.
 
@@ -213,20 +212,15 @@ def balance(
         constraints: the equations.
         feasible_set: Lambda.
         start: (size,) y; the multipliers P(y + G z) are the nearest ones to y; None: zero.
-        softness_factor: C is the softness S times this number, without the negative eigenvalues
-            that S has if a free body under pressure resists its rotation negatively; None: C is
-            the projector onto the positive eigenvectors of S. All soft equations are then equally
-            soft, and the result does not depend on their softness.
-        reserve: relative increase of e; a positive value asks for a margin.
+        softness_factor: C is S times this number, without the negative eigenvalues that S has if a
+            free body under pressure resists its rotation negatively. Without a start, C is the
+            projector onto the positive eigenvectors of S: the result does not depend on softness.
     """
-    G, inner = constraints.columns, constraints.reductions.sparse_inner
-    target = (1.0 + reserve) * constraints.values
-    term_sums = np.maximum(constraints.term_sums, np.abs(constraints.values))
+    G, target, inner = constraints.columns, constraints.values, constraints.reductions.sparse_inner
+    term_sums = np.maximum(constraints.term_sums, np.abs(target))
     depth = 0.5 * LARGEST_REACTION**2 * float(term_sums @ term_sums) if start is None else np.inf
     eigenvalues, vectors = constraints.soft_directions
-    weights = np.ones_like(eigenvalues)
-    if softness_factor is not None:
-        weights = softness_factor * eigenvalues
+    weights = np.ones_like(eigenvalues) if start is None else softness_factor * eigenvalues
     C: csr_array = vectors @ diags_array(weights) @ vectors.T
     y = np.zeros(G.shape[0]) if start is None else start
     agreed = constraints.reductions.from_first_rank

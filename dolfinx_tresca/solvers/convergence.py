@@ -25,8 +25,7 @@ class NaturalResidual:
     The relative residual is this residual divided by its scale. The scale is the residual at
     lambda = 0, so that the relative residual does not depend on units, on the size of the load, or
     on the initial guess. In a load step the residual of the initial multipliers x may be larger
-    than that at lambda = 0; the scale is then at least |A x|. An example is a wedge that friction
-    keeps in place after its load is removed: the residual at lambda = 0 is zero.
+    than that at lambda = 0, as in a wedge without load; the scale is then at least |A x|.
 
     Attributes:
         rho: length of the gradient step in the residual, about 1 / sigma_max of A.

@@ -43,9 +43,8 @@ def solve(
 ) -> DualSolution:
     """Solve a problem of Tresca or Coulomb friction by the method of the options. Collective.
 
-    The default method, `ModelNewton`, finds multipliers x that minimise q over the section of the
-    friction cones at their own pressures. For Tresca's law, this section is Lambda. For Coulomb's
-    law, x solves Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983).
+    The default method is `ModelNewton`. For Coulomb's law, it finds multipliers x that solve
+    Tresca's problem with the slip bounds at the pressures of x (Haslinger 1983).
 
     Raises:
         InputError: a method of the paper was chosen for slip bounds that depend on the pressure.
@@ -166,12 +165,11 @@ class Iterate:
         problem, b = self._problem, self._problem.b
         product, error = self.store.product(x)
         relative = FULL_ACCURACY if self._is_exact else ROUGH
-        wanted = max(relative * self._energy_norm(x), self.finest)
+        # with an accuracy below the error of b, products with tiny multipliers would be this error
+        wanted = max(relative * self._energy_norm(x), self.finest, problem.b_error)
         self.x, self.r, self.error = x, product - b, error + problem.b_error
         if self.error > wanted:
-            # an accuracy below the error of b is useless: the product with tiny multipliers would
-            # consist of this error
-            self.r, self.error = problem.gradient(x, max(wanted, problem.b_error))
+            self.r, self.error = problem.gradient(x, wanted)
             self.store.add(x, self.r + b, self.error + problem.b_error)
 
     def _energy_norm(self, x: Array) -> float:
@@ -210,8 +208,8 @@ class ModelNewton:
     The model at the start may be solved before the first iteration.
 
     For Tresca's law and bodies held by supports, the part of the step with the least q is taken, so
-    that q decreases in each step. (Theorem 38.1 also needs gradient projection steps, which GIMSSN
-    takes.) Otherwise no quantity is guaranteed to decrease, and the whole step is taken.
+    that q decreases in each step. Otherwise no quantity is guaranteed to decrease, and the whole
+    step is taken.
 
     Attributes:
         iterate: the present point; set, as are `residual` and `history`, by `choose_start`.
@@ -275,17 +273,20 @@ class ModelNewton:
             iterate.return_to_zero()
             self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
-        # the start, moved to the nearest multipliers that are feasible and balance the loads
-        start = problem.admissible.project(start)
-        if len(constraints) > 0:
-            shift = balance(constraints, problem.admissible, start=start).shift
-            start = problem.admissible.project(start + constraints.columns @ shift)
-        if norm(problem, start) > 0.0:
+        # the start, moved to the nearest multipliers that are feasible and balance the loads, less
+        # the forces S c that soft springs have at the start
+        start, carried = problem.admissible.project(start), constraints
+        if constraints.softness.count_nonzero() > 0:
             iterate.set_point(start)
+            e = constraints.values - constraints.softness @ self.constraint_guess()
+            carried = dataclasses.replace(constraints, values=e)
+        if len(constraints) > 0:
+            shift = balance(carried, problem.admissible, start, 1.0 / residual.rho).shift
+            start = problem.admissible.project(start + constraints.columns @ shift)
+        iterate.set_point(start)
         target = self.find_constraint_multipliers()
         if self.options.rtol:  # gradients need not be more accurate than the requested residual
             iterate.finest = FORCING * self.history.residual_error
-        # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
                 residual.count(iterate.r + problem.b)  # the scale is at least |A x|
@@ -302,20 +303,24 @@ class ModelNewton:
         residuals. For floating bodies, c are rigid motions. The result is the solution of the
         model; None if there are no constraints, or the loads are zero. Collective.
         """
-        iterate, constraints, rho = self.iterate, self.problem.constraints, self.residual.rho
+        iterate, constraints = self.iterate, self.problem.constraints
         is_at_rest = self.residual.zero_is_solution and norm(self.problem, iterate.x) == 0.0
         if len(constraints) == 0 or is_at_rest:
             return None
-        # the first guess of c: the gradient projection step P(x - rho (r - G c)) = P(y + G z), with
-        # y = x - rho r and z = rho c, satisfies the constraints if G'P(y + G z) + S z / rho = e
-        x, r = iterate.x, iterate.r
-        section = self.problem.section_at(x, r)
-        shift = balance(constraints, section, x - rho * r, softness_factor=1.0 / rho).shift
-        iterate.c = np.asarray(shift / rho)
+        iterate.c = self.constraint_guess()
         target = self.target()
         iterate.c = target.c
         self.residual.set_constraint_multipliers(iterate.c)
         return target
+
+    def constraint_guess(self) -> Array:
+        """Return the c (k,) with which a gradient projection step fits the constraints. Collective.
+
+        The step leads to P(x - rho (r - G c)) = P(y + G z), with y = x - rho r and z = rho c.
+        """
+        problem, x, r, rho = self.problem, self.iterate.x, self.iterate.r, self.residual.rho
+        y, section = x - rho * r, problem.section_at(x, r)
+        return np.asarray(balance(problem.constraints, section, y, 1.0 / rho).shift / rho)
 
     def proposed_rho(self) -> float:
         """Return the step length rho from the estimate of sigma_max, or from 1 without loads."""
@@ -349,12 +354,11 @@ class ModelNewton:
         if not stalls and not (misses and isinstance(self.iterate.store, WholeModel)):
             return None
         # without a solution: find the cause, where bounds depend on the pressure
-        if self.problem.admissible.has_given_bounds:
-            return ContactStatus.STAGNATED
-        self.deficit = friction_deficit(self.problem, target)
-        if is_limited and self.deficit is None:
-            return ContactStatus.STAGNATED
-        return ContactStatus.NO_FIXED_POINT
+        if not self.problem.admissible.has_given_bounds:
+            self.deficit = friction_deficit(self.problem, target)
+            if self.deficit is not None or not is_limited:
+                return ContactStatus.NO_FIXED_POINT
+        return ContactStatus.STAGNATED
 
     def complete_products(self) -> bool:
         """Compute A unless it is known or too large; return whether it is new. Collective."""
@@ -387,6 +391,5 @@ def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | No
     if balanced.satisfied:
         return None
     motion = balanced.shift / np.linalg.norm(balanced.shift)
-    slip = constraints.columns @ motion
-    friction = float(problem.reductions.total(np.array(section.dissipation(slip))))
-    return FrictionDeficit(motion, float(constraints.values @ motion), friction)
+    friction = problem.reductions.total(np.array(section.dissipation(constraints.columns @ motion)))
+    return FrictionDeficit(motion, float(constraints.values @ motion), float(friction))

@@ -208,7 +208,7 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
     """Return an approximate solution of the contact problem with a model of A. Collective.
 
     Newton's method begins at the start. Where A is known whole, it begins again at points of the
-    interior-point method if the residual has not become small enough.
+    interior-point method if the residual stays too large, or tractions of Coulomb's law vanish.
     """
     newton = SemismoothNewton(problem, model)
     guess = newton.point(start.x, start.c, start.r)
@@ -224,10 +224,13 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
         # far from the solution, no more steps than the interior-point method takes
         is_far = guess.residual > ROUGH * newton.load
         point = newton.solve(guess, tolerance, 2 * PATIENCE if is_far else MOST_STEPS)
-        if point.residual > (tolerance if is_far else enough):
+        # zero solves Coulomb's law without loads, and draws steps to itself where friction locks
+        vanishes = problem.inner(point.x, point.x) < ROUGH**2 * problem.inner(start.x, start.x)
+        is_lost = vanishes and not problem.admissible.has_given_bounds
+        if is_lost or point.residual > (tolerance if is_far else enough):
             for interior in interior_guesses(newton, model, guess):
                 end = newton.solve(interior, tolerance)
-                point = end if end.residual < point.residual else point
+                point = end if end.residual < max(point.residual, is_lost * enough) else point
                 if point.residual <= enough:
                     break
     # the point in the cones to which the residual belongs (`SemismoothNewton.point`)

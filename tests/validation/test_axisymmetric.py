@@ -254,6 +254,35 @@ def test_a_body_that_floats_along_the_axis(comm):
     assert abs(solution.body_resultants[0].force[1]) == pytest.approx(wanted, rel=1e-6)
 
 
+@pytest.mark.parallel
+@pytest.mark.parametrize("swap", [False, True])
+def test_a_thin_ring_remains_locked_on_a_taper(comm, swap):
+    """Hoop stresses, which hold the ring softly, press it on when the load is removed or reversed.
+
+    It takes cos(a) (F - tan(a)) of the normal force, an eighth, to bring the ring off.
+    """
+    slope, friction = math.radians(15.0), 0.4
+    bodies = Body((2, 4), [(40, 41), (0, 4)]), Body((2, 5), [(39, 40), (0, 4)])
+    held = [(0, near(1, 4.0), 1, 0.0), (1, near(1, 0.0), 1, 0.0)]
+    scene = two_rings(comm, bodies, (near(0, 40.0),) * 2, held, Coulomb(friction), swap=swap)
+    x, push = scene.mesh.geometry.x, fem.Constant(scene.mesh, 0.0)
+    x[:, 0] -= x[:, 1] * math.tan(slope)
+    top = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)(FIRST)
+    load = -push * ufl.TestFunction(scene.V)[1] * top
+    with dataclasses.replace(scene, L=load, bcs=scene.bcs[1:]).problem(axisymmetric=True) as problem:
+        for factors in ((1.0, 0.1, 0.0, -0.02), (1.0, 0.0, 1.0), (1.0, -0.02, 0.0)):
+            problem.forget()
+            for factor in factors:
+                push.value = 0.05 * factor
+                solution = problem.solve()
+                solution.raise_if_failed()
+                problem.accept()
+                axial = solution.pair_resultants[0].force[1] * (-1.0 if swap else 1.0)
+                assert axial == pytest.approx(push.value, abs=1e-6)
+                slips = 0.05 / (math.sin(slope) + friction * math.cos(slope))
+                assert solution.normal_force > (0.999 if factor == 1.0 else 0.8) * slips
+
+
 def ball(tagged):
     """Return a ball on a rigid plane, for adaptive meshes."""
     V = fem.functionspace(tagged.mesh, ("Lagrange", 2, (2,)))
