@@ -6,7 +6,6 @@ import gc
 import os
 import re
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 from mpi4py import MPI
@@ -146,9 +145,7 @@ def memory() -> float:
         ),
     ],
 )
-def test_nothing_stays(
-    comm: MPI.Comm, folder: Path, solve: Callable[[MPI.Comm], None], each: int
-) -> None:
+def test_nothing_stays(comm, folder, solve, each):
     """Objects, communicators and memory are as before after 20 problems, `each` in one call."""
 
     def state() -> tuple[Counter[str], int, float]:

@@ -74,9 +74,7 @@ def test_version(build: Path) -> None:
 
 
 @pytest.mark.long
-def test_installed_from_the_wheel(
-    build: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_installed_from_the_wheel(build, tmp_path, monkeypatch):
     """Build as for PyPI, and install with all extras in an empty venv, outside of the checkout."""
     monkeypatch.syspath_prepend(CHECKOUT / "tools")
     venvs = importlib.import_module("venvs")

@@ -86,9 +86,7 @@ RETRY = (
         (RETRY + "OSError: [Errno 28] No space left on device\n", "OSError: .*No space.*TMPDIR.*"),
     ],
 )
-def test_what_pip_failed_at(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, log: str, reason: str
-) -> None:
+def test_what_pip_failed_at(tmp_path, monkeypatch, log, reason):
     """Where it found no network it says at last that there is no such package."""
     monkeypatch.syspath_prepend(TOOLS)
     reason_in = importlib.import_module("venvs").reason_in
@@ -96,9 +94,7 @@ def test_what_pip_failed_at(
     assert re.fullmatch(reason, reason_in(str(tmp_path / "log")))
 
 
-def test_python_without_venv(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_python_without_venv(tmp_path, monkeypatch, capfd):
     """Debian has venv in a package of its own: nothing is made, and one line names the package."""
     monkeypatch.syspath_prepend(TOOLS)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -118,13 +114,7 @@ def test_python_without_venv(
         ("echo 'OSError: [Errno 28] No space left on device'; exit 1", ".*No space.*make room.*"),
     ],
 )
-def test_half_an_installation_is_not_taken(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-    pip: str,
-    reason: str,
-) -> None:
+def test_half_an_installation_is_not_taken(tmp_path, monkeypatch, capfd, pip, reason):
     """It is removed, the reason is in the last line, and the next attempt begins anew."""
     monkeypatch.syspath_prepend(TOOLS)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -198,9 +188,7 @@ CUT_OFF = 'case "$*" in -c*) exit ;; *" tools"*) exit 3 ;; esac\necho "no wheel 
     ],
 )
 @pytest.mark.parametrize("suite", ["wheels", ""])
-def test_which_python_gets_wheels(
-    tmp_path: Path, pythons: dict[str, str], taken: str, suite: str
-) -> None:
+def test_which_python_gets_wheels(tmp_path, pythons, taken, suite):
     done = fenicsx(tmp_path, suite, **pythons)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.rstrip() == str(tmp_path / taken / "tools")

@@ -254,9 +254,7 @@ def in_degree(function: Any, degree: int) -> Any:
         ("hexahedron", 2, 2, False),
     ],
 )
-def test_cells_and_degrees(
-    comm: MPI.Comm, folder: Path, kind: str, degree: int, geometry: int, rubs: bool
-) -> None:
+def test_cells_and_degrees(comm, folder, kind, degree, geometry, rubs):
     """2D and 3D, degrees 1 and 2, straight and curved, with friction and without."""
     pyvista = pytest.importorskip("pyvista")
     scene = patch(
@@ -296,9 +294,7 @@ def test_unknown_suffix(folder: Path, solution: ContactSolution, name: str) -> N
         SolutionWriter(folder / name)
 
 
-def test_a_folder_in_the_place_of_the_file(
-    comm: MPI.Comm, folder: Path, solution: ContactSolution
-) -> None:
+def test_a_folder_in_the_place_of_the_file(comm, folder, solution):
     """A folder in the place of the file, or a file in that of the folder: an error on all ranks."""
     if comm.rank == 0:
         (folder / "taken").touch()
@@ -309,9 +305,7 @@ def test_a_folder_in_the_place_of_the_file(
             solution.write(path)
 
 
-def test_without_pyvista(
-    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_pyvista(folder, solution, monkeypatch):
     """Files do not need it, the conversion says so."""
     monkeypatch.setitem(sys.modules, "pyvista", None)  # import fails
     solution.write(folder / "bricks.pvd")
@@ -337,9 +331,7 @@ def test_steps_are_one_series(comm: MPI.Comm, folder: Path, solution: ContactSol
     assert times(path) == [7.0]
 
 
-def test_a_series_goes_on_after_a_restart(
-    comm: MPI.Comm, folder: Path, solution: ContactSolution
-) -> None:
+def test_a_series_goes_on_after_a_restart(comm, folder, solution):
     """Steps before the first new one stay; what a killed run has not finished goes."""
     path = folder / "steps.pvd"
     writer = SolutionWriter(path, append=True)  # of nothing
@@ -355,9 +347,7 @@ def test_a_series_goes_on_after_a_restart(
         assert times(path) == [0.0, 1.0, *(1.5, 4.0)[: i + 1]]
 
 
-def test_other_files_in_the_folder_stay(
-    comm: MPI.Comm, folder: Path, solution: ContactSolution
-) -> None:
+def test_other_files_in_the_folder_stay(comm, folder, solution):
     path = folder / "steps.pvd"
     solution.write(path)
     mine = [folder / "steps" / "0000" / "mine.txt", folder / "steps" / "mine" / "0001.vtu"]

@@ -362,9 +362,7 @@ def no_window(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_window")
-def test_no_display(
-    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_display(folder, solution, monkeypatch):
     """Where VTK wants an X server and there is no Xvfb the error says so, on all ranks."""
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(ContactError, match="install xvfb"):
@@ -372,9 +370,7 @@ def test_no_display(
 
 
 @pytest.mark.usefixtures("no_window")
-def test_broken_xvfb(
-    folder: Path, solution: ContactSolution, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_broken_xvfb(folder, solution, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: "/bin/false")
     with pytest.raises(ContactError, match="did not start"):
         solution.plot(folder / "bricks.png")

@@ -46,9 +46,7 @@ def states(comm: MPI.Comm, friction: Friction, sign: float) -> set[int]:
         (Bonded(), ContactState.BONDED, ContactState.BONDED),
     ],
 )
-def test_states(
-    comm: MPI.Comm, friction: Friction, together: ContactState, apart: ContactState
-) -> None:
+def test_states(comm, friction, together, apart):
     assert states(comm, friction, 1.0) == {together}
     assert states(comm, friction, -1.0) == {apart}
 

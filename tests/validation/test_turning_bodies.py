@@ -246,9 +246,7 @@ def test_two_gears_keep_the_ratio_of_their_moments() -> None:
         (("gear", "pinion"), ("flanks",), (0.0,)),
     ],
 )
-def test_gears_whichever_surfaces_are_paired(
-    names: tuple[str, str], parts: tuple[str, ...], angles: tuple[float, ...]
-) -> None:
+def test_gears_whichever_surfaces_are_paired(names, parts, angles):
     """Whole outlines or flanks alone, from either side: the lands beside the tips carry nothing."""
     scene = gears(MPI.COMM_WORLD)
     sides = [[scene.tags[f"{name} {part}"] for part in parts] for name in names]
