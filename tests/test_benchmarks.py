@@ -36,10 +36,7 @@ RUNS = {
     "fixed_points": ("--number 3 --coefficients 3 --ways all", "found"),
     "adaptive": ("--scenes hertz_line --degrees 1 --dofs 700", "error"),
     "guaranteed": ("--scenes slips --sizes 4", "bound"),
-    "finite_sliding": (
-        "--scenes ironing --ironing 20 --cells 2 --way 0.1 --cases",
-        "newton_steps",
-    ),
+    "finite_sliding": ("--scenes ironing --ironing 20 --cells 2 --way 0.1 --cases", "newton_steps"),
     "gradients": ("--sizes 3 --scenes free_end_2 --backends cholesky", "values"),
     "published": ("--cases shrink_fit incline --meshes 1", "value"),
     "ablation": ("--scenes floating --parts solvers.products.SHIFT", "total"),
@@ -203,10 +200,7 @@ def test_yardstick(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("script", "sizes"),
-    [
-        ("scikit_fem", {"shrink_fit": 16, "pushed_block": 32}),
-        ("dolfinx_tresca", STATICS),
-    ],
+    [("scikit_fem", {"shrink_fit": 16, "pushed_block": 32}), ("dolfinx_tresca", STATICS)],
 )
 def test_scripts_of_the_yardstick(monkeypatch, script, sizes):
     """The kept answers are those of the scripts, on the coarsest meshes, and near the published."""

@@ -257,10 +257,7 @@ REFUSED = {
         "petsc_options_prefix must be a string, found 3",
         lambda s: {"petsc_options_prefix": 3},
     ),
-    "hyphen": (
-        "no leading hyphen, found '-mine_'",
-        lambda s: {"petsc_options_prefix": "-mine_"},
-    ),
+    "hyphen": ("no leading hyphen, found '-mine_'", lambda s: {"petsc_options_prefix": "-mine_"}),
 }
 
 

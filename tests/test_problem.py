@@ -230,10 +230,7 @@ def test_a_solve_that_fails_is_logged(caplog, options, status, advice):
 @pytest.mark.parallel
 def test_logs_go_to_the_first_rank(comm, caplog, capfd):
     """Nothing is printed."""
-    with (
-        caplog.at_level(logging.INFO, logger="dolfinx_tresca"),
-        bricks_problem(comm, 3) as problem,
-    ):
+    with caplog.at_level(logging.INFO, logger="dolfinx_tresca"), bricks_problem(comm, 3) as problem:
         problem.solve(rtol=1e-6)
     messages = logged(caplog)
     if comm.rank == 0:

@@ -452,12 +452,7 @@ CASES: dict[str, Case] = {
         "h differs",
     ),
     "reaction": (lambda s, x: s.problem.reaction(x), 1, 2, "where differs"),
-    "guaranteed_error": (
-        lambda s, x: s.problem.guaranteed_error(gain=x),
-        0.1,
-        0.2,
-        "gain differs",
-    ),
+    "guaranteed_error": (lambda s, x: s.problem.guaranteed_error(gain=x), 0.1, 0.2, "gain differs"),
     "guaranteed_goal": (
         lambda s, x: s.problem.guaranteed_goal(NormalForce(), gain=x),
         0.1,

@@ -6,9 +6,7 @@ from mpi4py import MPI
 
 import pytest
 
-from dolfinx_tresca._base.parallel import (
-    errors_on_all_ranks,
-)
+from dolfinx_tresca._base.parallel import errors_on_all_ranks
 from dolfinx_tresca._base.petsc import PetscOwner
 
 pytestmark = pytest.mark.parallel

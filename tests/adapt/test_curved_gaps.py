@@ -98,13 +98,7 @@ def test_the_geometry_makes_it_exact(comm, names, degree, of_gmsh):
     """To a hundredth of the interference, and of what Gmsh's own kernel takes for nearest."""
     fit = press_fit(comm, of_gmsh=of_gmsh)
     secondary, primary = (fit.tags[f"{name}_contact"] for name in names)
-    pair = ContactPair(
-        fit.facet_tags,
-        secondary,
-        primary,
-        Frictionless(),
-        geometry=fit.geometry,
-    )
+    pair = ContactPair(fit.facet_tags, secondary, primary, Frictionless(), geometry=fit.geometry)
     assert (
         error_of_gaps(paired(fit, pair, degree=degree)) <= 0.01 * INTERFERENCE + of_gmsh * NEAREST
     )

@@ -206,8 +206,7 @@ def test_oscillating_loads(comm, load):
     better = linear_solution(a, form(w), [fem.dirichletbc(fem.Function(fine), held)])
     difference = better - solution.u
     error = norm(
-        comm,
-        ufl.replace(scene.a, dict(zip(scene.a.arguments(), (difference,) * 2, strict=True))),
+        comm, ufl.replace(scene.a, dict(zip(scene.a.arguments(), (difference,) * 2, strict=True)))
     )
     assert 0.0 < error <= bound.error
     assert bound.oscillation > 0.1 * error

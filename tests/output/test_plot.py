@@ -31,11 +31,7 @@ from dolfinx_tresca import (
 )
 from dolfinx_tresca.output import panels, plot
 from dolfinx_tresca.output.files import gather_grid
-from dolfinx_tresca.output.panels import (
-    CURVE_COLOUR,
-    TANGENT_COLOUR,
-    gather_contact,
-)
+from dolfinx_tresca.output.panels import CURVE_COLOUR, TANGENT_COLOUR, gather_contact
 from dolfinx_tresca.solution.fields import IntegerFunction
 from scenes.blocks import ABOVE, block
 from scenes.patches import patch
@@ -111,11 +107,7 @@ def image_of_one_rank(path: Path) -> np.ndarray:
 def fraction(part: np.ndarray, kind: str) -> float:
     """Return the part of the pixels that are white, grey, or coloured."""
     low, high = part.min(axis=2).astype(int), part.max(axis=2).astype(int)
-    kinds = {
-        "white": low > 250,
-        "grey": (high - low < 8) & (low < 250),
-        "colour": high - low > 25,
-    }
+    kinds = {"white": low > 250, "grey": (high - low < 8) & (low < 250), "colour": high - low > 25}
     return float(kinds[kind].mean())
 
 

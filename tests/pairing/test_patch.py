@@ -10,12 +10,7 @@ from rotations import rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    Bonded,
-    ContactStatus,
-    PairingError,
-    Tresca,
-)
+from dolfinx_tresca import Bonded, ContactStatus, PairingError, Tresca
 from scenes.patches import KINDS, SIDES, UPPER, dim_of, patch
 from scenes.scene import EPS, Scene
 

@@ -176,10 +176,7 @@ def test_forms_with_functions_on_surfaces(comm) -> None:
     ds = ufl.Measure("ds", domain=scene.scene.mesh, subdomain_data=scene.scene.facet_tags)
     v = scene.F.arguments()[0]
     answers = []
-    for p, maps in (
-        (found.on_mesh("pressure"), None),
-        (found.pressure, found.surface.entity_maps),
-    ):
+    for p, maps in ((found.on_mesh("pressure"), None), (found.pressure, found.surface.entity_maps)):
         scene.u.x.array[:] = 0.0
         F = scene.F + 0.5 * p * v[0] * ds(BELOW)
         with problem_of(scene, F=F, entity_maps=maps) as problem:

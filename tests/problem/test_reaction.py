@@ -10,13 +10,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    ContactError,
-    Coulomb,
-    InputError,
-    NonlinearContactProblem,
-    SolverOptions,
-)
+from dolfinx_tresca import ContactError, Coulomb, InputError, NonlinearContactProblem, SolverOptions
 from scenes.blocks import ABOVE, BELOW, LEFT, RIGHT, block, floor
 from scenes.elasticity import fixed
 

@@ -11,12 +11,7 @@ from logged import logged
 
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    ContactStatus,
-    Coulomb,
-    Frictionless,
-    RigidSphere,
-)
+from dolfinx_tresca import ContactStatus, Coulomb, Frictionless, RigidSphere
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.elasticity import fixed
 from scenes.patches import BOTTOM, TOP, patch
@@ -98,14 +93,7 @@ def test_pressed_block_that_turns_on_a_plane(comm, sliding):
 def test_slip_over_the_size_of_the_contact(comm, caplog, shift, status, warned, deformable, law):
     """A block of width 1 slides on a large ball or on another block, with facets of at most 1/3."""
     if deformable:
-        scene = patch(
-            comm,
-            "quadrilateral",
-            upper=(3, 1),
-            lower=(3, 1),
-            distort=0.0,
-            friction=law,
-        )
+        scene = patch(comm, "quadrilateral", upper=(3, 1), lower=(3, 1), distort=0.0, friction=law)
         moved = fixed(scene.V, scene.facet_tags.find(TOP), (-shift, -0.001))
         bcs = [moved, fixed(scene.V, scene.facet_tags.find(BOTTOM))]
     else:

@@ -102,9 +102,7 @@ def test_units_of_load_change_nothing(method, stiffness, load):
         lam = problem.feasible_set
         unit = load / stiffness  # of the multipliers, so that of the radii
         scaled = DenseProblem(
-            stiffness * problem.A,
-            load * problem.b,
-            replace(lam, radius=unit * lam.radius),
+            stiffness * problem.A, load * problem.b, replace(lam, radius=unit * lam.radius)
         )
         second = run(scaled, method, max_iterations=30)
         assert (first.iterations, problem.products) == (second.iterations, scaled.products)

@@ -14,14 +14,7 @@ import dolfinx
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    SolverOptions,
-    contacts,
-    read_gmsh,
-)
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, SolverOptions, contacts, read_gmsh
 from scenes.elasticity import elasticity
 
 gmsh = pytest.importorskip("gmsh")
@@ -369,15 +362,7 @@ def test_forces_are_those_of_tags_by_hand(comm, tmp_path, name):
         for both in assembly.pairs
     ]
     geometry = {k: project for k, (_, (_, project)) in assembly.faces.items() if project}
-    by_hand = [
-        ContactPair(
-            tags,
-            *both,
-            FRICTION,
-            geometry=geometry,
-        )
-        for both in ordered
-    ]
+    by_hand = [ContactPair(tags, *both, FRICTION, geometry=geometry) for both in ordered]
     (_, solution), (_, wanted) = (solve(tagged, pairs, assembly) for pairs in (found, by_hand))
     solution.raise_if_failed()
     forces = np.array([one.normal_force for one in (solution, wanted)])

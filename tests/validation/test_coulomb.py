@@ -12,13 +12,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    ContactStatus,
-    Coulomb,
-    Frictionless,
-    InputError,
-    Tresca,
-)
+from dolfinx_tresca import ContactStatus, Coulomb, Frictionless, InputError, Tresca
 from dolfinx_tresca._base import compat
 from scenes.blocks import block
 from scenes.nodal import node_function

@@ -15,14 +15,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    Bonded,
-    ContactProblem,
-    ContactStatus,
-    Frictionless,
-    RigidPlane,
-    Tresca,
-)
+from dolfinx_tresca import Bonded, ContactProblem, ContactStatus, Frictionless, RigidPlane, Tresca
 from scenes.blocks import ABOVE, BELOW, block, floor
 from scenes.patches import KINDS
 from scenes.rubbing import BOUND, YOUNG, rubbing
@@ -95,9 +88,7 @@ def test_every_algorithm(comm, method):
     asked = [{"accuracy": 1e-2}, {"rtol": 1e-4}]
     with scene.problem() as problem:
         check(
-            scene.a,
-            problem,
-            [{**one, "method": method, "max_iterations": 1000} for one in asked],
+            scene.a, problem, [{**one, "method": method, "max_iterations": 1000} for one in asked]
         )
 
 

@@ -16,11 +16,7 @@ from scipy.optimize import brentq
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    ContactForce,
-    Coulomb,
-    InputError,
-)
+from dolfinx_tresca import ContactForce, Coulomb, InputError
 from scenes.blocks import ABOVE, LEFT, RIGHT, block
 from scenes.elasticity import fixed
 from scenes.nodal import surface_nodes_of

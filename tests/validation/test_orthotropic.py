@@ -13,14 +13,7 @@ import pytest
 import dolfinx
 from dolfinx import fem
 
-from dolfinx_tresca import (
-    ContactSolution,
-    ContactStatus,
-    Coulomb,
-    InputError,
-    RigidSphere,
-    Tresca,
-)
+from dolfinx_tresca import ContactSolution, ContactStatus, Coulomb, InputError, RigidSphere, Tresca
 from dolfinx_tresca.scene.friction import Friction
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.blocks import BOUND as BLOCK_BOUND

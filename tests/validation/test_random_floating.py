@@ -245,10 +245,7 @@ class Conic:
         blocks = [np.column_stack([R.T @ f / size, -R.T @ B.T]), np.eye(1, 1 + m)]
         right, cones = (
             [np.zeros(R.shape[1]), [UNLIMITED]],
-            [
-                clarabel.ZeroConeT(R.shape[1]),
-                clarabel.NonnegativeConeT(1),
-            ],
+            [clarabel.ZeroConeT(R.shape[1]), clarabel.NonnegativeConeT(1)],
         )
         first = 1
         for rows, _, friction, kind in parts:

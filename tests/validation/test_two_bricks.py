@@ -153,10 +153,7 @@ def test_all_find_the_same_or_say_that_they_do_not(comm, kind, degree, friction)
                 if reference is None:
                     reference, energy = solution.multipliers, solution.dual_energy
                 assert energy is not None
-                squares = [
-                    ((solution.multipliers - reference) ** 2).sum(),
-                    (reference**2).sum(),
-                ]
+                squares = [((solution.multipliers - reference) ** 2).sum(), (reference**2).sum()]
                 difference, size = reduce_array(comm, squares)
                 assert np.sqrt(difference / size) <= 1e3 * RTOL, (stiffness, method)
                 assert solution.dual_energy == pytest.approx(energy, rel=1e3 * RTOL)
