@@ -269,7 +269,8 @@ def test_a_thin_ring_remains_locked_on_a_taper(comm, swap):
     x[:, 0] -= x[:, 1] * math.tan(slope)
     top = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)(FIRST)
     load = -push * ufl.TestFunction(scene.V)[1] * top
-    with dataclasses.replace(scene, L=load, bcs=scene.bcs[1:]).problem(axisymmetric=True) as problem:
+    ring = dataclasses.replace(scene, L=load, bcs=scene.bcs[1:])
+    with ring.problem(axisymmetric=True) as problem:
         for factors in ((1.0, 0.1, 0.0, -0.02), (1.0, 0.0, 1.0), (1.0, -0.02, 0.0)):
             problem.forget()
             for factor in factors:
