@@ -269,8 +269,8 @@ def test_a_thin_ring_remains_locked_on_a_taper(comm, swap):
     x[:, 0] -= x[:, 1] * math.tan(slope)
     top = ufl.Measure("ds", domain=scene.mesh, subdomain_data=scene.facet_tags)(FIRST)
     load = -push * ufl.TestFunction(scene.V)[1] * top
-    scene = dataclasses.replace(scene, L=load, bcs=scene.bcs[1:])
-    with scene.problem(axisymmetric=True) as problem:
+    ring = dataclasses.replace(scene, L=load, bcs=scene.bcs[1:])
+    with ring.problem(axisymmetric=True) as problem:
         for factors in ((1.0, 0.1, 0.0, -0.02), (1.0, 0.0, 1.0), (1.0, -0.02, 0.0)):
             problem.forget()
             for factor in factors:
@@ -305,7 +305,8 @@ def force_of_a_ball():
 
 
 @pytest.mark.parametrize(
-    ("goal", "accuracy"), [(None, 0.02), (ContactForce((0, 1)), 2e-3), (PATCH, 2e-3)]
+    ("goal", "accuracy"),
+    [(None, 0.02), (ContactForce((0, 1)), 2e-3), (PATCH, 2e-3)],
 )
 def test_adaptive_meshes(force_of_a_ball, goal, accuracy):
     """Meshes that are refined for the energy or for a number have the number of a fine mesh."""
