@@ -235,10 +235,12 @@ class SmoothSurface:
         edge, but not if it is opposed to the patch across the edge, where the contact is.
         """
         (facet, normals), (partner_facet, partner_normals) = own, theirs
-        lean = normals + partner_normals
-        turned = self.turns_along(facet, lean) + partner.turns_along(partner_facet, lean)
+        cosine, turned = -dots(normals, partner_normals), np.zeros(len(facet))
+        leaning = np.flatnonzero(cosine < np.cos(OPPOSED_ANGLE))
+        lean = (normals + partner_normals)[leaning]
+        for side, its_facet in ((self, facet), (partner, partner_facet)):
+            turned[leaning] += side.turns_along(its_facet[leaning], lean)
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
-        cosine = -dots(normals, partner_normals)
         at_edge, across_edge = np.zeros((2, len(facet)), dtype=np.bool_)
         for outward, facing, across in (
             (normals, partner_normals, self.across[facet]),
