@@ -218,8 +218,9 @@ class SmoothSurface:
         """
         normals = self._facet_normals[facet]
         along = lean - dots(lean, normals)[:, None] * normals
-        of_corners = (self._mean_normals if to_ends else self.corner_normals)[facet]
-        sines = 0.5 * np.ptp(of_corners @ along[:, :, None], axis=(1, 2))  # times the length
+        of_corners = self._mean_normals if to_ends else self.corner_normals
+        along_corners = [dots(corner[facet], along) for corner in of_corners.swapaxes(0, 1)]
+        sines = 0.5 * np.ptp(along_corners, axis=0)  # times the length of `along`
         cosines = np.sqrt(np.maximum(dots(along, along) - sines**2, 0.0))
         least = 0.5 * np.pi * (to_ends & self._at_end[facet])
         return np.asarray(np.maximum(2.0 * np.arctan2(sines, cosines), least))
