@@ -163,8 +163,7 @@ def stress_products(d: int) -> Array:
     The squared norm with the compliance C_ij (k, k), in terms of `symmetric`, is the sum of C_ij
     A_ij times the volume, in the m entries of a loading with tractions S grad lambda_j. The stress
     is the one of least norm with this loading in the element of Johnson and Mercier (1978): it is
-    symmetric, quadratic in each subcell, and its tractions are continuous between subcells. Subcell
-    i has the centroid in place of vertex i.
+    symmetric, quadratic in each subcell (i has the centroid as vertex i), of continuous tractions.
     """
     n, (places, shapes, means) = d + 1, lagrange(d + 1)
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
