@@ -108,8 +108,7 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
     """Call a function of the user; an exception on one rank is raised on all ranks. Collective.
 
     The function may make collective calls of this package. After an exception on one rank, the
-    other ranks receive it in their next collective call of this package, but not while they wait in
-    a call of another library.
+    others receive it in their next collective call of this package, but not in other libraries.
     """
     results: list[_T] = []
 

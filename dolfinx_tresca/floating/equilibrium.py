@@ -161,10 +161,11 @@ class Equilibrium:
     def explain(self, deficit: FrictionDeficit) -> str:
         """Return a text on the body that slides and its load, for a message. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
+        size = f"{times:.4g} times" if 1.001 <= times < 100.0 else "more than"
         return (
             f"Nothing holds {self.bodies.describe(self.factors * deficit.motion)}. The loads "
-            f"along this motion are {times:.4g} times the friction that the pressures under these "
-            "loads allow: the body slides without end. Prescribe its displacement instead of the "
+            f"along this motion are {size} the friction that the pressures under these loads "
+            "allow: the body slides or tips without end. Prescribe its displacement instead of the "
             "load, reduce the load, or press harder"
         )
 

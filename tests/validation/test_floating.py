@@ -232,7 +232,7 @@ def test_a_pull_out_of_a_clamp(comm):
                 continue
             assert solution.status is ContactStatus.NO_FIXED_POINT
             assert solution.iterations < 10  # and not as many as it takes to lose patience
-            said = r"Nothing holds body 1 of 1.*along x.*are 1\.0\d* times the friction"
+            said = r"Nothing holds body 1 of 1.*along x.*are (more than|1\.0\d* times) the fric"
             with pytest.raises(ConvergenceError, match=said):
                 solution.raise_if_failed()
             assert "sliding" in str(solution)
