@@ -200,8 +200,8 @@ ASSEMBLIES = {
         [(1, 2), (1, 3), (1, 4), (1, 5), (2, 6), (3, 6), (4, 6), (5, 6)],
         lambda p: np.hypot(p[0], p[1]) > 13.9,
         lambda p: np.hypot(p[0], p[1]) < 3,
-        (0.01, 0.0),
-        1.0,
+        (0.01, 0.01),
+        0.5,
     ),
     "ball in a groove": Assembly(
         ball_in_groove,
@@ -323,7 +323,7 @@ def solve(tagged, pairs, assembly):
         fem.dirichletbc(np.array(value), fem.locate_dofs_geometrical(V, where), V)
         for where, value in ((assembly.held, (0.0,) * dim), (assembly.pushed, assembly.move))
     ]
-    problem = ContactProblem(a, None, pairs, bcs, options=SolverOptions(rtol=1e-11))
+    problem = ContactProblem(a, None, pairs, bcs, options=SolverOptions(rtol=1e-9))
     return problem, problem.solve()
 
 
