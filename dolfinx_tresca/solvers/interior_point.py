@@ -10,14 +10,14 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices
-from dolfinx_tresca._base.tolerances import MOST_STEPS, PROGRESS, SHORT_PATIENCE
+from dolfinx_tresca._base.tolerances import MOST_STEPS
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualProblem
 from dolfinx_tresca.solvers.products import NodalMaps, WholeModel
 
 #: The method ends when the complementarity y'z is below this multiple of its value at the start,
 #: which is far above the energy of the solution: on walls and piles, some steps of Newton's method
-#: remain. With 1e-16, rounding makes systems of walls singular. Without progress it ends sooner.
+#: remain. With 1e-16, rounding makes systems of walls singular.
 COMPLEMENTARY = 1e-12
 
 #: Part of the way to the boundary of the cones that a step takes at most.
@@ -212,7 +212,7 @@ def interior_point(
         point[:, 0] += start_size + largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
     count = float(reductions.total(np.array(float(len(y)))))
     complementarity = at_start = float(reductions.inner(y.ravel(), z.ravel())) / count
-    centring, least, idle = LARGEST_CENTRING, np.inf, 0
+    centring = LARGEST_CENTRING
     for _ in range(MOST_STEPS):
         # the right-hand side s m v^-1 - v, since v^-1 is J v / det v
         scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
@@ -237,9 +237,7 @@ def interior_point(
         t = min(1.0, TO_BOUNDARY / max(limit, LEAST_DIVISOR))
         x, c, y, z = x + t * dx, c + t * dc, y + t * dy, z + t * dz
         complementarity = float(reductions.inner(y.ravel(), z.ravel())) / count
-        idle = 0 if complementarity < PROGRESS * least else idle + 1
-        least = min(least, complementarity)
-        if idle == SHORT_PATIENCE or not complementarity > COMPLEMENTARY * at_start:
+        if not complementarity > COMPLEMENTARY * at_start:
             break
         centring = min(max((1.0 - t) ** 2, LEAST_CENTRING), LARGEST_CENTRING)
     return x, c
