@@ -43,7 +43,7 @@ ALIKE = 0.1
 LEAST_FRACTION = 0.1
 
 #: Number of successive configurations in which |u - w| grows, as where bodies snap. With 1, folds
-#: of a bellows do not converge, whose contact moves on; with 3, an edge that slides off a corner.
+#: of a bellows whose contact moves on do not converge; with 3, an edge that slides off a corner.
 GROWING = 2
 
 #: Advice to users if the configurations do not converge.

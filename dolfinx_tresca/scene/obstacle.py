@@ -349,9 +349,10 @@ class RigidObstacle:
 
 def resolved(obstacle: RigidObstacle, size: float) -> RigidObstacle:
     """Return an obstacle as facets of some size see it; see `RigidObstacle.from_file`."""
+    if obstacle._turning is None:
+        return obstacle
     result = copy(obstacle)
-    if obstacle._turning is not None:
-        result.signed_distance = obstacle._turning(size)
+    result.signed_distance = obstacle._turning(size)
     return result
 
 

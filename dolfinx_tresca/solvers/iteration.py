@@ -287,6 +287,7 @@ class ModelNewton:
         target = self.find_constraint_multipliers()
         if self.options.rtol:  # gradients need not be more accurate than the requested residual
             iterate.finest = FORCING * self.history.residual_error
+        # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
                 residual.count(iterate.r + problem.b)  # the scale is at least |A x|
