@@ -221,12 +221,10 @@ def couple(
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
-    if not displaced and primary is not None:
-        # Functions of the dual basis are negative in part: a mean may be less than all distances.
-        # (Of displaced surfaces it must change as N says, or finite sliding does not converge.)
-        gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
-        if not facets.has_exact_surface:
-            _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
+    # functions of the dual basis are negative in part: a mean may be less than all distances
+    gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
+    if not (displaced or primary is None or facets.has_exact_surface):
+        _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
     # the share of each pair of the group in a node's area, from the areas of overlaps
     facet, partner = integrals.pairs.T
     column = partner if primary is None else primary.tag_index[partner]

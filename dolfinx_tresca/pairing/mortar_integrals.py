@@ -70,7 +70,8 @@ class FacetIntegrals:
             distance of the surfaces along the contact normal; the height of the secondary surface
             over its facets (zero if an exact surface is known); the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
-        least: (n,) least distance over each facet, infinite if unpaired; with obstacles of nodes.
+        least: (n,) least distance over each facet, infinite if unpaired; with obstacles that
+            the mesh resolves, of nodes.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
@@ -552,4 +553,5 @@ def _see_between_nodes(
     integrals.values[near] = values + share * (weights @ facets.basis(x) - values)
     integrals.means[near] = means + np.minimum(shares, 1.0) * (weights @ seen - means)
     integrals.hats[near] = areas[:, :, None] * np.eye(facets.corners)
+    integrals.least[near] = np.minimum(integrals.least[near], distance.min(axis=1))
     return near

@@ -43,7 +43,8 @@ def test_bending_counts_once(comm, kind, bent):
     body = x[:, across] > 1.0 + 0.5 * GAP
     if bent == "primary":
         body = ~body
-    u.x.array.reshape(-1, across + 1)[body, across] = 0.5 * k * x[body, 0] ** 2
+    curvature = -k if bent == "secondary" else k
+    u.x.array.reshape(-1, across + 1)[body, across] = 0.5 * curvature * x[body, 0] ** 2
     with scene.problem() as problem:
         before = gap_at(problem, u)
         problem.update_geometry(u)
