@@ -171,6 +171,17 @@ BENCHMARK = Benchmark(
             and row["method"] == "projected_newton"
             and any(is_papers(row, scene) for scene in ENDS),
         ),
+        Table(
+            "solve_on_ranks",
+            [
+                Column("N", "{N}"),
+                Column("ranks", "{ranks}"),
+                Column("iterations / products", "{iterations} / {products}"),
+                Column("Krylov iterations", "{krylov_iterations}"),
+                Column("peak memory of all ranks [MB]", "{peak_rss_mb:.0f}"),
+            ],
+            chosen=lambda row: row["stiffness"] == "multigrid",
+        ),
     ],
 )  # fmt: skip
 

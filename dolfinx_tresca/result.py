@@ -178,7 +178,7 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def traction(self) -> fem.Function | None:
-        """Tangential traction of the only pair [stress]; None without friction; see `surface`."""
+        """Tangential traction of the only pair on its primary side [stress]; None: no friction."""
         return self.surface.traction
 
     @property

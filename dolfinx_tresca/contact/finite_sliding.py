@@ -217,7 +217,7 @@ class FiniteSliding:
         """Return the next displacement w, with ghosts; the class explains the cases. Collective."""
         *earlier, newest = self._path
         u, w, residual = newest.u, newest.w, newest.u - newest.w
-        # the first u(w) is no approximation
+        # the first w is a guess, without the new contact forces, or lies before a snap
         alike = [configuration for configuration in earlier[1:] if self._alike(configuration)]
         if len(earlier) > 1 and (not alike or alike[-1] is not earlier[-1]):
             # the last step has crossed a kink: do the residuals u - w at its ends point at each
@@ -225,7 +225,7 @@ class FiniteSliding:
             before = earlier[-1]
             onwards, backwards = self._products(w - before.w, [before.u - before.w, residual])
             if onwards > 0.0 > backwards:
-                fraction = _inside(onwards / (onwards - backwards))
+                fraction = _inside(onwards / (onwards - backwards))  # where u - w crosses zero
                 return np.asarray((1.0 - fraction) * before.u + fraction * u)
         if not alike:
             return u

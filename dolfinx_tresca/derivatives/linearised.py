@@ -47,8 +47,8 @@ from dolfinx_tresca.solvers.constraints import norm
 from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.products import NodalMaps
 
-#: Relative error of y in the energy norm of the model of A, for estimates of errors; its square is
-#: the relative error of the adjoint's energy.
+#: Relative error of y in the energy norm of the model of A, for estimates of errors (its square is
+#: that of the adjoint's energy), and the residual over the first that is accepted if steps fail.
 ADJOINT_ACCURACY = ROUGH
 
 #: Whether products are exact -> relative error of the multipliers of derivatives, in the energy
@@ -198,7 +198,7 @@ class LinearisedContact:
         weight = 1.0 / (model.diagonal + curvature)
         root = np.sqrt(weight)
         maps = self._maps(model.diagonal, transpose)
-        residual = maps.test @ (jump_at_start - offset)
+        residual = maps.test @ (jump_at_start - offset)  # `solve_on_face` tests again: T T = T
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
         rounding = RESIDUAL_ROUNDING * norm(dual, root * (np.abs(jump_at_start) + np.abs(offset)))
         accepted = max(max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * residual), rounding)

@@ -35,14 +35,14 @@ One solve, from the user's call to the table, with linear bodies. Once for all s
 of their N and T (`assemble_B`), finds the bodies that hardly anything holds (room `floating`), and
 factors K with springs that hold them; A follows.
 
-1. `ContactProblem.solve` collects options and observer. `ContactSystem.begin_solve` pairs anew
-   the surfaces whose obstacles have moved, and returns to the state in which the solve starts.
+1. `ContactProblem.solve` collects options and observer. `ContactSystem.begin_solve` pairs anew the
+   surfaces whose obstacles have moved, and returns to the state (`StepState`) of the start. With
+   finite sliding, `solve_with_finite_sliding` follows, otherwise step 2.
 2. `ContactSystem.solve` assembles f, evaluates slip bounds and gaps at the nodes, and makes the
-   `DualProgram`. This takes the first solve with K, for u = K^-1 f, from which b follows.
+   `DualProgram`, with `bounded` as `admissible`, and with u = K^-1 f, from which b follows.
 3. `iteration.solve` (room `solvers`) chooses the method, by default `ModelNewton.run`. It begins at
-   the multipliers of the last solve, or at zero if the residual is smaller there. If bounds depend
-   on the pressure, a load step begins at the tractions of the accepted step: there may be several
-   fixed points, and a process goes on with the nearest one.
+   the multipliers of the state, or at zero if the residual is smaller there; if bounds depend on
+   the pressure, always at the accepted tractions, as there may be several fixed points.
 4. Each iteration has two parts. `ModelNewton.target` calls `solve_model`, which solves the contact
    problem with a model M in place of A: `SemismoothNewton.solve` (`newton_solution`) takes steps
    that need no product with A, several times if M contains the near field, whose products improve
@@ -59,8 +59,8 @@ factors K with springs that hold them; A follows.
    the last x. `DualProgram.in_equilibrium` adds the rigid displacements of floating bodies. All
    fields, forces, energies and bounds are computed from this u and x.
 7. `status_of_fields` compares the bound of the error of these fields with the accuracy that was
-   asked for, and `ContactSystem.solve` returns a `ContactSolution`. `ContactSystem.checked` changes
-   its status if it has left linear theory. `print(solution)` shows its rows.
+   asked for (missed: STAGNATED), and `ContactSystem.solve`, which called `evaluate`, returns a
+   `ContactSolution`, whose status `ContactSystem.checked` changes if it has left linear theory.
 
 For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
 bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6 and the first

@@ -93,20 +93,20 @@ class Tools:
     ) -> Tools:
         """Compute G. Not collective.
 
-        The arguments `by_pair` and `stress_scale` are those of `JumpOperator`. The primary side
-        moves: each row of G is minus the motion, along the row's normal or tangent at its node.
+        The primary side moves: rows of G are minus the motion along their normal or tangent, over
+        the node's areas on all pairs; `stress_scale` (of B) divides by the root of its whole area.
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
-            for rows in (by_pair[pair] for pair in motion.pairs):
-                nodes, dim = rows.operators, rows.operators.normals.shape[1]
-                arm = np.zeros((len(nodes.places), 3)) - motion.point
-                arm[:, :dim] += nodes.places
+            for rows in (by_pair[number] for number in motion.pairs):
+                pair, dim = rows.operators, rows.operators.normals.shape[1]
+                arm = np.zeros((len(pair.places), 3)) - motion.point
+                arm[:, :dim] += pair.places
                 displacement = motion.direction[:3] + np.cross(motion.direction[3:], arm)
-                weighted = displacement[:, :dim] * nodes.weights[:, None]
-                i, j = nodes.normal_node, nodes.tangent_node
-                column[rows.normal] -= dots(weighted[i], nodes.normals[i])
-                column[rows.tangential] -= dots(weighted[j], nodes.tangents)
+                weighted = displacement[:, :dim] * pair.weights[:, None]
+                i, j = pair.normal_node, pair.tangent_node
+                column[rows.normal] -= dots(weighted[i], pair.normals[i])
+                column[rows.tangential] -= dots(weighted[j], pair.tangents)
         return cls(motions, bodies, csr_array(stress_scale[:, None] * G))
 
     def places(self, c: Array, before: Array) -> Array:

@@ -246,8 +246,8 @@ class MeshCells(Simplices):
         dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.
         vertices: (n, d + 1) global numbers of the vertices.
         facets: (n, d + 1) numbers on this rank of the facets, which `facet_map` distributes.
-        nodes: (n, d + 1, d + 1) nodes of V on this rank, whose displacements are as in `bernstein`:
-            for degree 1 at vertex i, for degree 2 in the middle between the vertices i and j.
+        nodes: (n, d + 1, d + 1) nodes of V on this rank: for degree 1 at vertex i, for degree 2 in
+            the middle between the vertices i and j; `bernstein` takes means of (i, j) and (j, i).
         facet_nodes: (n, d + 1, d, d) the nodes of V on each facet, as in `nodes`.
         signs: (n, d + 1, 1, 1) 1 on one side of each facet and -1 on the other one.
         sides: (facets, 1, 1) the number of cells at each facet of this rank.
@@ -285,7 +285,7 @@ class MeshCells(Simplices):
         self.quadratics = fem.functionspace(mesh, ("DG", 2, (d,)))
         self.dofs = self.quadratics.dofmap.list[cell, pairs[(slice(None), *np.triu_indices(d + 1))]]
         self.facet_nodes = self.nodes[:, opposite(d)[:, :, None], opposite(d)[:, None]]
-        # which way the ascending vertices of a facet turn, seen from each of its two cells
+        # the orientation of a facet in the boundary of a cell, opposite for its two cells
         turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]
         self.signs = np.sign(turns)[:, :, None, None]
         self.sides = self.facet_sums(np.ones_like(self.signs))

@@ -82,7 +82,7 @@ class ProblemSummary:
         mesh, comm, by_pair = system.V.mesh, system.comm, jump.by_pair
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
         own = [int(system.moves.sum()), sum(len(pair.nodes) for pair in jump.pairs)]
-        own += [len(rows.nodes) for rows in by_pair]
+        own += [len(rows.nodes) for rows in by_pair]  # pairs of a group share nodes
         free_dofs, contact_nodes, *counts = map(int, reduce_array(comm, own))
         texts = []
         for pair, rows, nodes in zip(pairs, by_pair, counts, strict=True):
@@ -97,7 +97,7 @@ class ProblemSummary:
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
 
         kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
-        count = system.negative_pivots
+        count = system.negative_pivots  # the unknowns that are no displacements, as pressures
         beside = f", beside {count} unknowns of other kinds" if count else ""
         size_rows = (
             ("mesh", f"{cells} cells ({kind}), MPI ranks: {comm.size}"),

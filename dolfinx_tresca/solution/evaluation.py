@@ -229,8 +229,7 @@ def energy_errors(
     the mesh is estimated from the displacement `estimated`; with None it stays unknown.
     """
     bound = dual.energy_bound(point.x, point.r, error)
-    # the norm is computed from energies, since for bodies that fall through wide gaps K u is only
-    # rounding
+    # from energies, not as u'K u: if bodies fall through wide gaps, K u is only rounding
     norm = energy_norm(dual, point, error)
     if norm <= dual.energy_resolution():
         norm = 0.0
@@ -357,9 +356,10 @@ def node_values(
 
 
 def _near_another_state(B: JumpOperator, section: FeasibleSet, x: Array, limit: float) -> Mask:
-    """Return for each disc whether a change of tractions x by `limit` [stress] changes the state.
+    """Return for each disc whether changing the tractions by `limit` [stress] changes its state.
 
-    The tractions are so near to the edge of their friction disc, or the pressure is so near to 0.
+    The tractions of the multipliers x (size,) are so near to the edge of their friction disc, or
+    the pressure is so near to 0. The first discs are those of the nodes, in their order.
     """
     scale = np.ones(len(section.radius))
     scale[section.node] = B.stress_scale[section.tangential]

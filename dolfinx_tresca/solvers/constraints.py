@@ -31,7 +31,7 @@ class Reductions(InnerProduct, Protocol):
     """Sums over all ranks, and values on which all ranks agree. All methods are collective."""
 
     def total(self, x: Array) -> Array:
-        """Return the sum of x over all ranks."""
+        """Return the sum over all ranks of x, entry by entry; x has the same shape on all."""
 
     def largest(self, value: float) -> float:
         """Return the largest value of all ranks."""

@@ -86,7 +86,7 @@ class FeasibleSet:
         return np.asarray(self.sums(v) / np.maximum(self.sums(np.ones_like(v)), 1.0))
 
     def mean_over_discs(self, v: Array) -> Array:
-        """Return v with the tangential parts of each disc replaced by their mean."""
+        """Return a diagonal v (size,) with one value in each disc, the mean: discs stay discs."""
         result = v.copy()
         result[self.tangential] = self.disc_means(v)[self.node]
         return result

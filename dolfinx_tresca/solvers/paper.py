@@ -39,7 +39,7 @@ def ssn(run: Run) -> DualSolution:
             problem,
             lambda v: v - derivative @ (v - rho * problem.compliance.apply(v)),
             run.feasible_set.project(y) - run.x,
-            rho * tolerance,
+            rho * tolerance,  # the natural residual is divided by rho
         )
         x = run.x + change
         return x, gradient(problem, x)

@@ -99,13 +99,13 @@ class DualProblem(InnerProduct, Protocol):
         """Return the energy norm below which displacements are rounding errors. Collective."""
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
-        """Return a bound of the displacement's error |u - u*|_K [energy^(1/2)]. Collective."""
+        """Return a bound of |u - u*|_K [energy^(1/2)] for the bounds `section_at`. Collective."""
 
     def local_error(self, x: Array, r: Array) -> float:
         """Return the largest distance of a node's traction from its local minimiser. Collective.
 
-        The local minimiser of a node minimises q with fixed displacements of its neighbours. The
-        distance is relative to the largest traction of all nodes.
+        A node's local minimiser, in the section at x, takes its compliance for fixed neighbours in
+        place of its block of A. The distance is relative to the largest traction of all nodes.
         """
 
     def discretisation_error(self, x: Array, c: Array) -> float:

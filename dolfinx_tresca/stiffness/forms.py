@@ -220,7 +220,7 @@ class Component:
         return component
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Return B, with the columns of V, with those of the mixed space; owned by the caller."""
+        """Return B, of the columns of V, on those of the mixed space; the caller owns it."""
         return B.matMult(self._parts)
 
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
