@@ -48,8 +48,7 @@ WeightedGoals: TypeAlias = "Sequence[tuple[float, Goal | ufl.Form]]"
 #: errors. With the errors e of the displacement and e' of the adjoint, the sum of a(e, e') over the
 #: cells then has this uncertainty, relative to the sum of the products of their energy norms
 #: (Prudhomme and Oden, On goal-oriented error estimation for elliptic problems, 1999). If doubled,
-#: the estimate is above 5 times the error on twice as many meshes (benchmarks/README.md, "Measured
-#: once").
+#: the estimate is above 5 times the error on twice as many meshes (benchmarks/README.md).
 DOUBT = {1: 0.15, 2: 0.25}
 
 

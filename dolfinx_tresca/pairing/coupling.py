@@ -50,6 +50,9 @@ CLOSE_FIT = 0.5
 #: Part of the nodes that must penetrate for a press fit: errors of the sagitta bring in only a few.
 FITTED_PART = 0.25
 
+#: Factor of negative least distances of displaced surfaces: pressed surfaces of degree 2 overlap in
+#: part, as their edges are straight. (With 1, a rolling cylinder takes 5 configurations, here 2.)
+STRAIGHTENED = 1.5
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
 #: rounding of the coordinates times the sum of the row.
 ENTRY_ROUNDING = 8.0
@@ -74,7 +77,7 @@ def corners_that_carry(
     # be if the function had the same mean on these parts as on whole facets
     covered = nodes.reduced(np.add, weights, 0.0)
     whole = nodes.reduced(np.add, weights.mean(axis=1, keepdims=True), 0.0)
-    # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
+    # if several patches of a node on a sharp edge are covered, all of them keep multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
 
@@ -218,11 +221,11 @@ def couple(
         means[:, :3] /= np.maximum(dots(unit(vectors), normals), FACING_COSINE)[:, None]
     gap, secondary_sagitta, sagitta = means[:, :3].T
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
-    if primary is None:
-        unpaired |= np.abs(gap) > pair.search_limit
+    unpaired |= (primary is None) & (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     # functions of the dual basis are negative in part: a mean may be less than all distances
-    gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
+    least = nodes.reduced(np.minimum, integrals.least[:, None], np.inf)
+    gap[:] = np.maximum(gap, np.minimum(least, least * (STRAIGHTENED if displaced else 1.0)))
     if not (displaced or primary is None or facets.has_exact_surface):
         _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
     # the share of each pair of the group in a node's area, from the areas of overlaps
@@ -420,7 +423,7 @@ def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
     along = tangents(normals)
     limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
-    # if not all directions are available, rotate the tangents to eigenvectors of the projection
+    # not all directions are available: rotate the tangents to eigenvectors of the projection
     mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
     values, vectors = np.linalg.eigh(mobility)
     along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])

@@ -70,8 +70,7 @@ class FacetIntegrals:
             distance of the surfaces along the contact normal; the height of the secondary surface
             over its facets (zero if an exact surface is known); the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
-        least: (n,) least distance over each facet, infinite if unpaired; with obstacles that
-            the mesh resolves, of nodes.
+        least: (n,) least distance over each facet, infinite if unpaired; with obstacles of nodes.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
@@ -272,7 +271,6 @@ class MortarIntegrals(FacetIntegrals):
             opposite[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
             weight = seen * ~is_primary
         means, q = self._quantities(cut), len(self._weights)
-        # least distance of each simplex
         least = (means[:, 0].reshape(-1, q) @ self._to_grid).min(axis=1)
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
         # sums over each of the pairs that overlap: its simplices follow each other from a start on
