@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers, Mask
-from dolfinx_tresca._base.parallel import gather_rows
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array, warn
 from dolfinx_tresca._base.petsc import destroyed_on_error
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.pairing.operators import PairOperators
@@ -62,6 +62,16 @@ def displaced_jump(
         closings = jump.closings(paired_at)
         for k, (new, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
+                nodes = reduce_array(V.mesh.comm, [len(old.nodes), len(new.nodes)])
+                if nodes[1] == 0 < nodes[0]:
+                    warn(
+                        V.mesh.comm,
+                        "contact pair %s: none of %d paired nodes faces the other side any more: "
+                        "the surfaces have left each other, or have passed through each other in "
+                        "too large a load step: then take smaller steps.",
+                        *(pair, nodes[0]),
+                        about=str(pair),
+                    )
                 if straight_u is not values:
                     paired_at.x.array[:] = _bent_primary(V, straight_u, values, pair, new).ravel()
                     closings = jump.closings(paired_at)

@@ -296,15 +296,11 @@ class DualProgram:
         """
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
         terms = self.compliance.nodal_stiffness * (np.abs(self.offset) + np.abs(self.offset - r))
-        stresses = [self._largest_stress(values) for values in (change, x, terms)]
-        largest, traction, rounding = reduce_array(self.jump.comm, stresses, MPI.MAX)
+        discs, stresses = self.jump.discs, np.stack([change, x, terms]) * self.jump.stress_scale
+        norms = np.array([discs.norms(values) for values in stresses])
+        norms = np.column_stack([np.abs(stresses[:, discs.normal]), norms]).max(axis=1, initial=0.0)
+        largest, traction, rounding = reduce_array(self.jump.comm, norms, MPI.MAX)
         return float(largest), float(traction), ROUNDING * float(rounding)
-
-    def _largest_stress(self, x: Array) -> float:
-        """Return the largest pressure or traction of this rank's multipliers. Not collective."""
-        discs, stress = self.jump.discs, x * self.jump.stress_scale
-        pressures, tractions = np.abs(stress[discs.normal]), discs.norms(stress)
-        return float(max(pressures.max(initial=0.0), tractions.max(initial=0.0)))
 
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.

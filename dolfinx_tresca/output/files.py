@@ -373,7 +373,11 @@ def write_vtu(path: Path, grid: Grid) -> None:
             array = ET.SubElement(element, "DataArray", Name=name, format="binary")
             array.set("type", _TYPES[values.dtype.str[1:]])
             array.set("NumberOfComponents", str(values.shape[1] if values.ndim == 2 else 1))
-            array.text = _compressed(values)
+            # VTK's compressed text of one block (ParaView 5.11 fails at raw data behind XML). The
+            # header: number of blocks, size of a block, of a shorter last one, compressed size
+            packed = zlib.compress(values.tobytes(), level=1)
+            sizes = np.array([1, values.nbytes, 0, len(packed)], dtype=np.uint64)
+            array.text = (b64encode(sizes.tobytes()) + b64encode(packed)).decode()
     # the active array: ParaView initially colours by it, warps by it, and draws it as arrows
     active = next(iter(grid.values))
     piece[0].attrib.update(Scalars=active, Vectors=active)
@@ -385,15 +389,3 @@ def _root(kind: str) -> ET.Element:
     order = f"{sys.byteorder.capitalize()}Endian"
     header = {"version": "2.2", "byte_order": order, "header_type": "UInt64"}
     return ET.Element("VTKFile", {"type": kind, **header})
-
-
-def _compressed(values: npt.NDArray[Any]) -> str:
-    """Return values as VTK's compressed text of one block.
-
-    ParaView 5.11 fails at raw data that are appended behind the XML.
-    """
-    data = values.tobytes()
-    packed = zlib.compress(data, level=1)
-    # number of blocks, size of a block, of a shorter last block (there is none), compressed size
-    header = np.array([1, len(data), 0, len(packed)], dtype=np.uint64)
-    return (b64encode(header.tobytes()) + b64encode(packed)).decode()

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array, csr_array
 from dolfinx_tresca._base.arrays import ROUNDING, Array, GlobalNumbers, Indices, Mask, dots, unit
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, log, reduce_array, warn
 from dolfinx_tresca.errors import PairingError
-from dolfinx_tresca.pairing.contact_normal import CANCELLED
+from dolfinx_tresca.pairing.contact_normal import CANCELLED, OPPOSED_ANGLE
 from dolfinx_tresca.pairing.facets import (
     FACING_COSINE,
     MISMATCH,
@@ -44,15 +44,10 @@ LEAST_MEAN_OF_FEW = 0.45
 #: Least covered part of a node's area with which the node carries a multiplier: no round number,
 #: since rounding would decide for overlaps by a round part of a cell, such as 0.1 or 0.01.
 LEAST_AREA_PART = 3e-4
-
 #: Penetration below which a fit is warned of, relative to the sagitta, whose error is 1 to 5 %.
 CLOSE_FIT = 0.5
 #: Part of the nodes that must penetrate for a press fit: errors of the sagitta bring in only a few.
 FITTED_PART = 0.25
-
-#: Factor of negative least distances of displaced surfaces: pressed surfaces of degree 2 overlap in
-#: part, as their edges are straight. (With 1, a rolling cylinder takes 5 configurations, here 2.)
-STRAIGHTENED = 1.5
 #: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
 #: rounding of the coordinates times the sum of the row.
 ENTRY_ROUNDING = 8.0
@@ -181,7 +176,7 @@ def _hint_at_normals(
     return bool(count) * (
         f" At {count} nodes the obstacle's normal is along the outward normal of the body, and so "
         "points into the body: it must point out of the obstacle, towards the surface that may "
-        "touch it. Reverse it if the tag is right."
+        "touch it. Reverse it if the tag is right and the body has not passed the obstacle."
     )
 
 
@@ -213,9 +208,13 @@ def couple(
         scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
         dual = dual_coefficients(integrals.hats, spread) * scale[nodes.facet_nodes][:, :, None]
         within, across, means = _dual_means(nodes, primary, integrals, dual, index_map.size_global)
-    # nodes that face nothing, and those whose contact normals cancel, keep their own normals
-    length = np.linalg.norm(means[:, 3:6], axis=1)
-    vectors = np.where((length <= CANCELLED)[:, None], nodes.normals, means[:, 3:6])
+    # nodes that face nothing, and those whose contact normals cancel, keep their own normals; where
+    # the mean with dual functions, negative in part, is far off, that with hat functions is taken
+    vectors = nodes.reduced(np.add, spread @ integrals.means[:, :, 3:], 0.0)
+    lengths, dual_lengths = (np.linalg.norm(v, axis=1) for v in (vectors, means[:, 3:6]))
+    near = dots(vectors, means[:, 3:6]) > np.cos(OPPOSED_ANGLE) * lengths * dual_lengths
+    cancel = lengths <= CANCELLED * weights
+    vectors[near], vectors[cancel] = means[near, 3:6], nodes.normals[cancel]
     normals = free_normals(vectors, nodes.free)
     if primary is None:  # measured along the mean normal, also where a component is prescribed
         means[:, :3] /= np.maximum(dots(unit(vectors), normals), FACING_COSINE)[:, None]
@@ -223,11 +222,11 @@ def couple(
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     unpaired |= (primary is None) & (np.abs(gap) > pair.search_limit)
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
-    # functions of the dual basis are negative in part: a mean may be less than all distances
-    least = nodes.reduced(np.minimum, integrals.least[:, None], np.inf)
-    gap[:] = np.maximum(gap, np.minimum(least, least * (STRAIGHTENED if displaced else 1.0)))
-    if not (displaced or primary is None or facets.has_exact_surface):
-        _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
+    if primary is not None:
+        # functions of the dual basis are negative in part: a mean may be less than all distances
+        gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
+        if not (displaced or facets.has_exact_surface):
+            _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
     # the share of each pair of the group in a node's area, from the areas of overlaps
     facet, partner = integrals.pairs.T
     column = partner if primary is None else primary.tag_index[partner]

@@ -551,5 +551,4 @@ def _see_between_nodes(
     integrals.values[near] = values + share * (weights @ facets.basis(x) - values)
     integrals.means[near] = means + np.minimum(shares, 1.0) * (weights @ seen - means)
     integrals.hats[near] = areas[:, :, None] * np.eye(facets.corners)
-    integrals.least[near] = np.minimum(integrals.least[near], distance.min(axis=1))
     return near

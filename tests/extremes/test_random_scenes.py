@@ -275,19 +275,7 @@ def test_many_nonlinear_scenes(drawn):
 
 #: A block that is held at one side, pressed on a plane and dragged.
 DRAGGED = Drawn(
-    n=(4, 3),
-    young=1000.0,
-    ratio=1.0,
-    poisson=0.3,
-    bound=0.3,
-    varies=True,
-    load=(0.6, 0.2, -1.0),
-    strain=1e-3,
-    gap=0.0,
-    held=LEFT,
-    rough=1,
-    obstacle="plane",
-    angle=0.5,
+    (4, 3), 1e3, 1.0, 0.3, 0.3, True, (0.6, 0.2, -1.0), 1e-3, 0.0, LEFT, 1, "plane", angle=0.5
 )
 
 

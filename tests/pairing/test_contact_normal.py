@@ -276,6 +276,31 @@ def test_a_sharp_corner_pushes_along_the_normal_of_a_flat_side(comm, folder, tur
 
 
 @pytest.mark.parallel
+@pytest.mark.parametrize("degree", [1, 2])
+def test_normals_lean_out_of_their_body(comm, folder, degree):
+    """A round tip ends over a coarse fillet, where dual means of normals point into the body."""
+    text = """
+    Point(1) = {0, -3, 0}; Point(2) = {3, -3, 0}; Point(3) = {3, 0, 0}; Point(4) = {0.2, 0, 0};
+    Point(5) = {0, -0.2, 0}; Point(6) = {0.2, -0.2, 0}; Point(7) = {-1.04, -0.9467, 0};
+    Point(8) = {0.4912118, 0.3843998, 0}; Point(9) = {0.56, 0.5353417, 0};
+    Point(10) = {0.36, 0.5353417, 0}; Point(11) = {0.56, 3, 0}; Point(12) = {-1.04, 3, 0};
+    Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Circle(4) = {4, 6, 5}; Line(5) = {5, 1};
+    Line(6) = {7, 8}; Circle(7) = {8, 10, 9}; Line(8) = {9, 11}; Line(9) = {11, 12};
+    Line(10) = {12, 7}; Curve Loop(1) = {1:5}; Curve Loop(2) = {6:10};
+    Plane Surface(1) = {1}; Plane Surface(2) = {2}; Physical Surface("bodies") = {1, 2};
+    Physical Curve("block") = {3:5}; Physical Curve("tip") = {6, 7};
+    Mesh.MeshSizeMax = 0.6; Mesh.MeshSizeMin = 0.6;
+    """
+    tagged = read(comm, folder, text)
+    V = fem.functionspace(tagged.mesh, ("Lagrange", degree, (2,)))
+    tags = (tagged.tags[name] for name in ("block", "tip"))
+    pair = ContactPair(tagged.facet_tags, *tags, Frictionless())
+    with ContactProblem(elasticity(V, 1e3), no_load(V), [pair]) as problem:
+        operators = problem.operators[0]
+        assert comm.allreduce(operators.normals[:, 1].min(initial=1.0), MPI.MIN) > 0.0
+
+
+@pytest.mark.parallel
 @pytest.mark.parametrize("sides", [("bottom", "steps"), ("steps", "bottom")])
 def test_a_step_far_below_is_another_surface(comm, folder, sides):
     """A facet faces the end of one plate, near it, and another plate far below, and no force."""

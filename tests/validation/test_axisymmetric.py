@@ -323,5 +323,4 @@ def test_adaptive_meshes(force_of_a_ball, goal, accuracy):
         assert found.goal_error.value == pytest.approx(wanted, rel=3 * accuracy)
     else:
         force = found.solution.normal_force
-        # the estimate knows nothing of the gap between nodes, 0.1 % of the force
-        assert force == pytest.approx(force_of_a_ball, rel=1.5 * accuracy)
+        assert force == pytest.approx(force_of_a_ball, rel=accuracy)

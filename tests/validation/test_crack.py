@@ -72,16 +72,8 @@ def crack(comm, kind, *, degree=1, shift=0.0, angle=0.0, scale=1.0, shear=0.0, p
     V = fem.functionspace(made, ("Lagrange", degree, (dim,)))
     push = scale * (shear * turn[:, 0] - PRESSURE * turn[:, -1])
     bcs = [fixed(V, tags.find(BOTTOM)), fixed(V, tags.find(TOP), push)]
-    return SimpleNamespace(
-        V=V,
-        tags=tags,
-        a=elasticity(V, 1.0, poisson),
-        L=no_load(V),
-        bcs=bcs,
-        comm=comm,
-        dim=dim,
-        scale=scale,
-    )
+    a, L = elasticity(V, 1.0, poisson), no_load(V)
+    return SimpleNamespace(V=V, tags=tags, a=a, L=L, bcs=bcs, comm=comm, dim=dim, scale=scale)
 
 
 def nodes(scene, secondary, primary):

@@ -9,6 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from held_blocks import block_over
+from logged import logged
 
 import ufl
 from dolfinx import fem
@@ -55,6 +56,17 @@ def over(comm, obstacle, friction, sliding):
     """Return a block that its top holds over an obstacle, and the motion of the top."""
     scene, top = block_over(comm, (8, 3), 0.4, obstacle, friction)
     return scene.but(sliding=sliding).problem(options=OPTIONS), top
+
+
+@pytest.mark.parallel
+def test_a_ball_that_jumps_into_the_block_is_warned_of(comm, caplog):
+    """No node faces the ball any more, as if the bodies had parted."""
+    obstacle = ball()
+    problem, _ = over(comm, obstacle, Coulomb(F), "finite")
+    with problem:
+        obstacle.move_to((0.0, 2.5 * RADIUS))
+        assert problem.solve().normal_force == 0.0
+    assert ("smaller steps" in logged(caplog)) == (comm.rank == 0)
 
 
 @pytest.mark.parallel

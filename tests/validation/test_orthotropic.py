@@ -55,20 +55,9 @@ def axes_of(direction: Sequence[float]) -> np.ndarray:
 
 def numbers(solution: ContactSolution) -> np.ndarray:
     """Return energies, forces, peaks and counts: what does not depend on axes or ranks."""
-    counts = solution.counts
-    return np.array(
-        [
-            solution.primal_energy,
-            solution.dual_energy,
-            solution.normal_force,
-            solution.tangential_force,
-            solution.peak_pressure,
-            solution.greatest_slip,
-            counts.contact,
-            counts.stick,
-        ],
-        dtype=float,
-    )
+    names = ("primal_energy", "dual_energy", "normal_force", "tangential_force", "peak_pressure")
+    values = [getattr(solution, name) for name in (*names, "greatest_slip")]
+    return np.array([*values, solution.counts.contact, solution.counts.stick], dtype=float)
 
 
 def same(one: np.ndarray, other: np.ndarray, tolerance: float) -> bool:
