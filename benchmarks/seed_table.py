@@ -174,7 +174,7 @@ BENCHMARK = Benchmark(
         Table(
             "solve_on_ranks",
             [
-                Column("N", "{N}"),
+                Column("scene", "`{scene}`"),
                 Column("ranks", "{ranks}"),
                 Column("iterations / products", "{iterations} / {products}"),
                 Column("Krylov iterations", "{krylov_iterations}"),
