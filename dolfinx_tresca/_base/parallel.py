@@ -153,7 +153,7 @@ class RankReductions:
     comm: MPI.Comm
 
     def total(self, x: Array) -> Array:
-        """Return the sum over all ranks of x, entry by entry; x has one shape. Collective."""
+        """Return the sum over all ranks of x, entry by entry; shapes are equal. Collective."""
         return reduce_array(self.comm, x)
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:

@@ -62,14 +62,14 @@ def displaced_jump(
         closings = jump.closings(paired_at)
         for k, (new, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
             if not stay[k]:
-                nodes = reduce_array(V.mesh.comm, [len(old.nodes), len(new.nodes)])
-                if nodes[1] == 0 < nodes[0]:
+                paired, still_paired = reduce_array(V.mesh.comm, [len(old.nodes), len(new.nodes)])
+                if still_paired == 0 < paired:
                     warn(
                         V.mesh.comm,
                         "contact pair %s: none of %d paired nodes faces the other side any more: "
                         "the surfaces have left each other, or have passed through each other in "
                         "too large a load step: then take smaller steps.",
-                        *(pair, nodes[0]),
+                        *(pair, paired),
                         about=str(pair),
                     )
                 if straight_u is not values:

@@ -297,9 +297,10 @@ class DualProgram:
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
         terms = self.compliance.nodal_stiffness * (np.abs(self.offset) + np.abs(self.offset - r))
         discs, stresses = self.jump.discs, np.stack([change, x, terms]) * self.jump.stress_scale
-        norms = np.array([discs.norms(values) for values in stresses])
-        norms = np.column_stack([np.abs(stresses[:, discs.normal]), norms]).max(axis=1, initial=0.0)
-        largest, traction, rounding = reduce_array(self.jump.comm, norms, MPI.MAX)
+        pressures = np.abs(stresses[:, discs.normal])
+        tractions = np.array([discs.norms(values) for values in stresses])
+        maxima = np.column_stack([pressures, tractions]).max(axis=1, initial=0.0)
+        largest, traction, rounding = reduce_array(self.jump.comm, maxima, MPI.MAX)
         return float(largest), float(traction), ROUNDING * float(rounding)
 
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:

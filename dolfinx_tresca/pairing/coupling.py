@@ -72,7 +72,7 @@ def corners_that_carry(
     # be if the function had the same mean on these parts as on whole facets
     covered = nodes.reduced(np.add, weights, 0.0)
     whole = nodes.reduced(np.add, weights.mean(axis=1, keepdims=True), 0.0)
-    # if several patches of a node on a sharp edge are covered, all of them keep multipliers
+    # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
 
@@ -220,7 +220,8 @@ def couple(
         means[:, :3] /= np.maximum(dots(unit(vectors), normals), FACING_COSINE)[:, None]
     gap, secondary_sagitta, sagitta = means[:, :3].T
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
-    unpaired |= (primary is None) & (np.abs(gap) > pair.search_limit)
+    if primary is None:
+        unpaired |= np.abs(gap) > pair.search_limit
     position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     if primary is not None:
         # functions of the dual basis are negative in part: a mean may be less than all distances
@@ -422,7 +423,7 @@ def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
     along = tangents(normals)
     limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
-    # not all directions are available: rotate the tangents to eigenvectors of the projection
+    # if not all directions are available, rotate the tangents to eigenvectors of the projection
     mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
     values, vectors = np.linalg.eigh(mobility)
     along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])

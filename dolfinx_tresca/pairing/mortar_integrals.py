@@ -271,6 +271,7 @@ class MortarIntegrals(FacetIntegrals):
             opposite[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
             weight = seen * ~is_primary
         means, q = self._quantities(cut), len(self._weights)
+        # least distance of each simplex
         least = (means[:, 0].reshape(-1, q) @ self._to_grid).min(axis=1)
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
         # sums over each of the pairs that overlap: its simplices follow each other from a start on

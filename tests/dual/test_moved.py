@@ -28,7 +28,7 @@ SLOPE = 0.1
 @pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
 @pytest.mark.parametrize("bent", ["secondary", "primary"])
 def test_bending_counts_once(comm, kind, bent):
-    """A face becomes the parabola k x^2 / 2, which N u and the moved surface both know of.
+    """A face becomes a parabola, k x^2 / 2 high, which N u and the moved surface both know of.
 
     So an update at that displacement changes no gap d - N u: on the secondary side but for what
     tilted normals do, k times the height of the parabola over an edge. Of the primary side heights
@@ -43,6 +43,7 @@ def test_bending_counts_once(comm, kind, bent):
     body = x[:, across] > 1.0 + 0.5 * GAP
     if bent == "primary":
         body = ~body
+    # both ways the distance falls with x ever faster: no mean is less than the least distance
     curvature = -k if bent == "secondary" else k
     u.x.array.reshape(-1, across + 1)[body, across] = 0.5 * curvature * x[body, 0] ** 2
     with scene.problem() as problem:
