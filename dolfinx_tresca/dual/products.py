@@ -311,9 +311,10 @@ class ContactCompliance(PetscOwner):
         self.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
+        # without references to them, their matrices and vectors are freed on several ranks as well
         vars(self).pop("error_bound", None)
-        if "near_field" in vars(self):
-            self.near_field.destroy()
+        if (near := vars(self).pop("near_field", None)) is not None:
+            near.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.

@@ -113,8 +113,9 @@ class SmoothSurface:
         # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim: a
         # slab of one layer of cells has no other facets. Facets whose geometry is known have none
         self.across = _normals_across_edges(nodes)
-        flat = (facets.dim == 2) & (self.turns <= FLAT_ANGLE)
-        self._at_end = self.across.any(axis=(1, 2)) | at_rim.any(axis=1) & ~flat & ~self._exact
+        curved = np.minimum(self.turns / KINK_ANGLE, 1.0) ** (2 if facets.dim == 2 else 0)
+        at_curved_rim = curved * (at_rim.any(axis=1) & ~self._exact)
+        self._at_end = np.maximum(self.across.any(axis=(1, 2)), at_curved_rim)
         if facets.dim == 1:
             ahead = self._corners - self._corners[:, ::-1]
             ahead *= (at_rim / np.linalg.norm(ahead, axis=2))[:, :, None]
@@ -214,7 +215,7 @@ class SmoothSurface:
         """Return the angles [rad] by which normals turn over facets (n,) along vectors (n, 3).
 
         With `to_ends` they are larger where normals are less accurate, so that the partner's
-        decide: those of the mean normals at kinks; at least a right angle where the surface ends.
+        decide: those of the mean normals at kinks; up to a right angle where the surface ends.
         """
         normals = self._facet_normals[facet]
         along = lean - dots(lean, normals)[:, None] * normals
@@ -222,7 +223,7 @@ class SmoothSurface:
         along_corners = [dots(corner[facet], along) for corner in of_corners.swapaxes(0, 1)]
         sines = 0.5 * np.ptp(along_corners, axis=0)  # times the length of `along`
         cosines = np.sqrt(np.maximum(dots(along, along) - sines**2, 0.0))
-        least = 0.5 * np.pi * (to_ends & self._at_end[facet])
+        least = 0.5 * np.pi * to_ends * self._at_end[facet]
         return np.asarray(np.maximum(2.0 * np.arctan2(sines, cosines), least))
 
     def may_touch(

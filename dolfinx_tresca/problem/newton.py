@@ -391,7 +391,7 @@ class Newton:
                     f"{norm_before / scale:.1e}; requested {self.options.accuracy:.0e}"
                 )
                 if self._sliding is not None:
-                    failure += f"; forces or gaps still change by {self._sliding.change:.0e}"
+                    failure += f"; the error of forces or gaps is about {self._sliding.error:.0e}"
                 return failure
             norm_before = norm
 

@@ -190,12 +190,15 @@ def force_of(solution):
     return solution.pair_resultants[0].force
 
 
-def seeds(few, many):
-    """Return parameters, of which the first few run with `make test`."""
-    return [pytest.param(k, marks=[pytest.mark.long] * (k >= few)) for k in range(many)]
+def seeds(few, many, *also):
+    """Return parameters, of which the first few and some others run with `make test`."""
+    return [
+        pytest.param(k, marks=[pytest.mark.long] * (k >= few and k not in also))
+        for k in range(many)
+    ]
 
 
-@pytest.mark.parametrize("seed", seeds(FEW, MANY))
+@pytest.mark.parametrize("seed", seeds(FEW, MANY, 183))  # facets at a rim begin to bend
 def test_as_the_loop_of_updates(comm, seed):
     compare(scene_of(comm, seed))
 
