@@ -111,8 +111,8 @@ class SmoothSurface:
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
         # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim: a
-        # slab of one layer of cells has no other facets. Those that turn by `KINK_ANGLE` have a whole
-        # one; between, normals change continuously. Facets whose geometry is known have none
+        # slab of one layer of cells has no other facets. Those that turn by `KINK_ANGLE` have one;
+        # between, normals change continuously. Facets whose geometry is known have none
         self.across = _normals_across_edges(nodes)
         curved = np.minimum(self.turns / KINK_ANGLE, 1.0) ** (2 if facets.dim == 2 else 0)
         at_curved_rim = curved * (at_rim.any(axis=1) & ~self._exact)
