@@ -84,7 +84,7 @@ def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
             problem.forget()
             same = problem.solve(rtol=RTOL)
             agree(same, before)
-            assert same.energy_error_bound == pytest.approx(before.energy_error_bound, rel=0.1)
+            assert same.energy_error_bound == pytest.approx(before.energy_error_bound, rel=0.25)
         assert len(warnings(caplog)) == 2 * (comm.rank == 0)
         assert all(OUTDATED in message for message in warnings(caplog))
         problem.update_stiffness()
