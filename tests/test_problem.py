@@ -78,13 +78,15 @@ def test_until_update_stiffness_all_is_as_K_was_factored(comm, caplog, kind):
         scene.data.load.value[2] /= 2.0
         set_young(YOUNG)
         agree(problem.solve(rtol=RTOL), before)
+        problem.forget()
+        before = problem.solve(rtol=RTOL)  # as the solves below: on other partitions errors differ
         assert warnings(caplog) == []
         set_young(2.0 * YOUNG)
         for _ in range(2):
             problem.forget()
             same = problem.solve(rtol=RTOL)
             agree(same, before)
-            assert same.energy_error_bound == pytest.approx(before.energy_error_bound, rel=0.25)
+            assert same.energy_error_bound == pytest.approx(before.energy_error_bound, rel=0.1)
         assert len(warnings(caplog)) == 2 * (comm.rank == 0)
         assert all(OUTDATED in message for message in warnings(caplog))
         problem.update_stiffness()

@@ -192,10 +192,8 @@ def force_of(solution):
 
 def seeds(few, many, *also):
     """Return parameters, of which the first few and some others run with `make test`."""
-    return [
-        pytest.param(k, marks=[pytest.mark.long] * (k >= few and k not in also))
-        for k in range(many)
-    ]
+    short = {*range(few), *also}
+    return [pytest.param(k, marks=[pytest.mark.long] * (k not in short)) for k in range(many)]
 
 
 @pytest.mark.parametrize("seed", seeds(FEW, MANY, 183))  # facets at a rim begin to bend
