@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,10 +23,10 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a path in a new folder, and then move what is in this folder to that of `path`.
+    """Yield the path of a new file, which the block writes, and then move this file to `path`.
 
-    Nothing is moved after an exception: each file is complete, and a run that fails keeps those of
-    earlier runs. The block writes a file or folder, and maybe others beside it. Not collective.
+    Nothing is moved after an exception: a run that fails keeps the file of an earlier run. Not
+    collective.
     """
     with file_named_in_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -36,9 +35,5 @@ def atomic_write(path: Path) -> Iterator[Path]:
         elif path.exists() and not path.is_dir():
             raise OSError("it is a device or a pipe, and a file would replace it")
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            yield Path(folder, path.name)
-            for new in Path(folder).iterdir():
-                old = path.with_name(new.name)
-                if new.is_dir() and old.is_dir():
-                    shutil.rmtree(old)
-                new.replace(old)
+            yield (new := Path(folder, path.name))
+            new.replace(path)

@@ -18,7 +18,7 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.compat import geometry_dofmap
-from dolfinx_tresca._base.parallel import exchange, gather_rows, reduce_array
+from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 
 
 def label_bodies(V: Any) -> npt.NDArray[np.int64]:
@@ -69,17 +69,6 @@ def _places_of_bodies(V: Any, body: npt.NDArray[Any], count: int) -> npt.NDArray
         place[ascending] = np.cumsum(steps > rounding)
     # the last key of lexsort counts first; argsort inverts the order
     return np.asarray(np.argsort(np.lexsort([least, *places.T[::-1]])))
-
-
-def labels_of(
-    V: Any, label: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
-    """Return labels (n,) of any nodes by global numbers, from those of owned nodes. Collective."""
-    comm, (start, end) = V.mesh.comm, V.dofmap.index_map.local_range
-    # ask the ranks that own the nodes, and send the answers back
-    owners = np.searchsorted(np.array(comm.allgather(end)), numbers, side="right")
-    asked, source = exchange(comm, numbers, owners)
-    return np.asarray(exchange(comm, label[asked - start], source)[0])
 
 
 def _extremes(comm: MPI.Comm, body: npt.NDArray[Any], count: int, values: Array) -> Array:

@@ -48,9 +48,9 @@ factors K with springs that hold them; A follows.
    that need no product with A, several times if M contains the near field, whose products improve
    M. The result is a `NewtonPoint`. Then `Iterate.move` takes the step to this point, with a single
    product with A, which gives the true gradient and improves M. With a direct solver, no product is
-   needed if A is known as a matrix: from the start if it has few rows, or bodies are many and
-   small, and later if the iteration is slow (`known_products` and `complete_products` of
-   `ContactCompliance`); and only then `interior_point` helps Newton's method where it fails.
+   needed if A is known as a matrix: from the start if this takes few solves with K, and later if
+   the iteration is slow (`known_products` and `complete_products` of `ContactCompliance`); and
+   only then `interior_point` helps Newton's method where it fails.
 5. `ModelNewton.check_progress` ends the iteration. By `History.check_convergence` the status is
    CONVERGED, STOPPED or MAX_ITERATIONS; without progress it is STAGNATED or, if bounds depend on
    the pressure, NO_FIXED_POINT, and `friction_deficit` looks for a motion that friction cannot

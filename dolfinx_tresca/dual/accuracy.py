@@ -243,7 +243,11 @@ class DiscretisationError:
         points, _ = basix.make_quadrature(cell, 2 * (degree - 1))
         self._expression = fem.Expression(ufl.grad(self._u), points)
         nodes = interpolation_points(self._gradient.function_space.element)
-        self._at_nodes = _continuation(cell, degree - 1, points, nodes)
+        # the matrix that continues a polynomial from the points to the nodes of a cell
+        polynomials = (basix.ElementFamily.P, cell, degree - 1, basix.LagrangeVariant.equispaced)
+        element = basix.create_element(*polynomials, discontinuous=True)
+        at_points, at_nodes = (element.tabulate(0, x)[0, :, :, 0] for x in (points, nodes))
+        self._at_nodes = at_nodes @ np.linalg.inv(at_points)
         # forms of one value in each cell: the energy of the difference, and the volume
         weight = ufl.TestFunction(cells)
         difference = self._gradient - ufl.grad(self._u)
@@ -349,18 +353,6 @@ def total(cells: fem.Function) -> float:
     space = cells.function_space
     squares = np.square(cells.x.array[: space.dofmap.index_map.size_local])
     return float(np.sqrt(reduce_array(space.mesh.comm, squares.sum())))
-
-
-def _continuation(cell: Any, degree: int, points: Array, nodes: Array) -> Array:
-    """Return the matrix (m, n) that extrapolates from points of a cell to nodes by a polynomial.
-
-    Values at the `points` (n, d) determine a polynomial of the degree; the `nodes` are (m, d).
-    """
-    element = basix.create_element(
-        basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced, discontinuous=True
-    )
-    at_points, at_nodes = (element.tabulate(0, x)[0, :, :, 0] for x in (points, nodes))
-    return np.asarray(at_nodes @ np.linalg.inv(at_points))
 
 
 def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:

@@ -1,6 +1,6 @@
 """A = B K^-1 B': its products, and what is known of A without them.
 
-- `sparse_rows`: A as a sparse matrix, for many small bodies.
+- `SurfaceCompliance`: the part of K^-1 that contact needs, shared by all pairings with one K.
 - `NearField`: a cheap approximation of A, with the bodies clamped some cells from the contact.
 - `ContactCompliance`: A for one B and one K. A product is one solve with K; every one is counted.
 """
@@ -8,18 +8,19 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array, csr_array, eye_array
 
 from dolfinx import la
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
-from dolfinx_tresca._base.bodies import label_bodies, labels_of
-from dolfinx_tresca._base.parallel import largest_abs
+from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca._base.parallel import gather_rows, largest_abs
 from dolfinx_tresca._base.petsc import (
     PetscOwner,
     dense_matrix,
@@ -36,10 +37,6 @@ from dolfinx_tresca.solvers.problem import KnownProducts
 from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver, cholesky
 
-#: A is computed as a sparse matrix if no body has more than the part BODY_SHARE of all multipliers,
-#: or more than MOST_ON_BODY multipliers, which limit the number of solves with K.
-BODY_SHARE, MOST_ON_BODY = 0.5, 200
-
 #: Number of solves with K in one block.
 BLOCK = 32
 
@@ -48,47 +45,75 @@ BLOCK = 32
 #: some seconds, and the matrix takes 72 MB on each rank.
 LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
+#: A remains a sparse matrix if it has a smaller part of entries than this.
+SPARSE_SHARE = 0.25
 
-def sparse_rows(compliance: ContactCompliance) -> csr_array | None:
-    """Return this rank's rows (size, n) of the sparse matrix A, for many small bodies. Collective.
 
-    The result is None if a body has too many multipliers (`BODY_SHARE`, `MOST_ON_BODY`), with an
-    iterative solver for K, and in a mixed space, where it does not work. Solves count as products.
+class SurfaceCompliance:
+    """S, the part of K^-1 between the degrees of freedom that contact acts on: A = B S B'.
 
-    K is block diagonal, with a block K_b for each body, also if springs that fix floating bodies
-    are added. Hence A = sum of A_b with A_b = B_b K_b^-1 B_b', where B_b has the columns of body b:
-    A couples multipliers only if they act on the same body. One solve with K finds one column of
-    each A_b: in this solve, each body is loaded by one of its own multipliers, without the opposite
-    force on the other body of this multiplier. The number of solves is the largest number of
-    multipliers on a body, however many bodies there are. (Compare Curtis, Powell and Reid 1974, On
-    the estimation of sparse Jacobian matrices.)
+    K is block diagonal, with a block for each body, also if springs that fix floating bodies are
+    added. One solve with K, in which each body has one unit load, finds a column of each block of
+    S: the number of solves is the largest number of columns of a body, however many bodies there
+    are. (Compare Curtis, Powell and Reid 1974, On the estimation of sparse Jacobian matrices.) All
+    pairings with the same K share S, which gets columns for degrees of freedom that are new.
+
+    Attributes:
+        dofs: (s,) the global numbers of these degrees of freedom, ascending; on every rank.
+        matrix: (s, s) S, sparse; on every rank.
     """
-    jump = compliance.jump
-    if not compliance.exact or jump.system.component is not None:
-        return None
-    label = label_bodies(jump.system.V)
-    bodies = jump.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
-    row, body, split_rows = _rows_of_bodies(jump, label, bodies)
-    # column b has the numbers of the multipliers on body b as row indices, ascending
-    acts = csr_array((np.ones(len(row)), (row, body)), shape=(len(jump.gap), bodies))
-    members = csc_array(jump.reductions.stacked(acts))
-    members.sort_indices()
-    size, numbers = members.shape[0], np.diff(members.indptr)
-    solves = int(numbers.max())
-    if not 0 < solves <= min(BODY_SHARE * size, MOST_ON_BODY):
-        return None
-    # a multiplier is loaded in the solve of its position on the body, 0 in the first one: such
-    # zeros are stored, and this rank's entries have the order of `split_rows`
-    members.data = np.arange(members.nnz) - np.repeat(members.indptr[:-1], numbers)
-    solve_of_row = csr_array(members)[slice(*jump.matrix.getOwnershipRange())].data
-    B = sparse_matrix(split_rows, jump.matrix.getSizes()[1], jump.comm)
-    responses = compliance.columns(solve_of_row, solves, B)
-    # in each solve, a split row responds to one multiplier of its body; entries of a row of B on
-    # two bodies have the same place in A, where csr_array adds them: the sum of the A_b
-    split_row, solve = np.nonzero(np.arange(solves) < numbers[body, None])
-    multiplier = members.indices[members.indptr[body[split_row]] + solve]
-    entries = (responses[split_row, solve], (row[split_row], multiplier))
-    return csr_array(entries, shape=(len(jump.gap), size))
+
+    def __init__(self, V: Any) -> None:
+        """Begin without degrees of freedom. Collective."""
+        nodes, block, self._comm = V.dofmap.index_map, V.dofmap.index_map_bs, V.mesh.comm
+        self._body = np.repeat(label_bodies(V)[: nodes.size_local], block)
+        self._range = block * np.array(nodes.local_range)
+        self.dofs: Indices = np.empty(0, np.int64)
+        self.matrix = csr_array((0, 0))
+
+    def extend(self, compliance: ContactCompliance, limit: float) -> bool:
+        """Compute the columns that B needs; return whether S has all of them. Collective.
+
+        None is computed if this takes `limit` solves, which count as products, or more, or if S
+        would have more than `LARGEST_DENSE`^2 entries.
+        """
+        B = compliance.jump.matrix
+        _, columns, values = B.getValuesCSR()
+        touched = gather_rows(self._comm, np.unique(columns[values != 0.0]))
+        dofs = np.union1d(self.dofs, touched)
+        is_new = np.isin(dofs, self.dofs, invert=True)
+        if not is_new.any():
+            return True
+        mine, new = slice(*np.searchsorted(dofs, self._range)), np.flatnonzero(is_new)
+        own = dofs[mine]
+        body = gather_rows(self._comm, self._body[own - self._range[0]])
+        on_body = csr_array((np.ones(len(body)), (np.arange(len(body)), body)))
+        members = csc_array(on_body[new])
+        numbers = np.diff(members.indptr)
+        if numbers.max() >= limit or np.square(on_body.sum(axis=0)).sum() > LARGEST_DENSE**2:
+            return False
+        # the load on a new degree of freedom is in the solve of its position among its body's
+        solve = np.full(len(dofs), -1)
+        solve[new[members.indices]] = np.arange(len(new)) - np.repeat(members.indptr[:-1], numbers)
+        unit_rows = eye_array(B.getSize()[1], format="csr")[own]
+        unit_rows = sparse_matrix(unit_rows, B.getSizes()[1], self._comm)
+        responses = compliance.columns(solve[mine], int(numbers.max()), unit_rows)
+        row, column = (on_body[mine] @ on_body[new].T).nonzero()
+        entries = responses[row, solve[new[column]]], (row, new[column])
+        added = csr_array(entries, shape=(len(own), len(dofs)))
+        added = compliance.jump.reductions.stacked(added)
+        # S is symmetric: new rows of old columns are new columns of old rows
+        old = eye_array(len(dofs), format="csr")[:, ~is_new]
+        self.matrix = old @ self.matrix @ old.T + added + (old @ (old.T @ added)).T
+        self.dofs = dofs
+        return True
+
+    def rows(self, jump: JumpOperator) -> csr_array:
+        """Return this rank's rows (size, n) of A; S has all columns that B needs. Collective."""
+        pointers, columns, values = jump.matrix.getValuesCSR()
+        B = csr_array((values, columns, pointers), shape=(len(jump.gap), jump.matrix.getSize()[1]))
+        B = csr_array(B[:, self.dofs])
+        return csr_array(B @ self.matrix @ jump.reductions.stacked(B).T)
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
@@ -117,27 +142,6 @@ def _solve(matrix: csr_array, right: Array) -> Array:
             "(-9 or -13: out of memory; see its manual)."
         )
     return np.array(x.array)
-
-
-def _rows_of_bodies(
-    jump: JumpOperator, label: Indices, bodies: int
-) -> tuple[Indices, Indices, csr_array]:
-    """Return this rank's rows of B, split by the nodes' body `label` into rows of B_b. Collective.
-
-    Returns:
-        of each split row the local number (m,) of its row of B, and its body (m,); and the split
-        rows (m, all unknowns). They are sorted by row of B, then by body.
-    """
-    V, (pointers, indices, data) = jump.system.V, jump.matrix.getValuesCSR()
-    row = np.repeat(np.arange(len(jump.gap)), np.diff(pointers))
-    row, indices, data = (entries[data != 0.0] for entries in (row, indices, data))
-    # the body of each entry that is not zero, from the node of its column
-    nodes, position = np.unique(indices // V.dofmap.index_map_bs, return_inverse=True)
-    owned = label[: V.dofmap.index_map.size_local]
-    body = labels_of(V, owned, nodes.astype(np.int64))[position]
-    key, split_row = np.unique(row * bodies + body, return_inverse=True)
-    shape = (len(key), jump.matrix.getSize()[1])
-    return key // bodies, key % bodies, csr_array((data, (split_row, indices)), shape=shape)
 
 
 #: Number of layers of cells around the contact whose nodes may move. (With one, two bricks take up
@@ -301,6 +305,7 @@ class ContactCompliance(PetscOwner):
         self.jump, self.solver, self.springs, self.comm = jump, solver, springs, jump.comm
         self.exact, self.products = solver.exact, 0
         self._store: KnownProducts | None = None
+        self._products_before = 0  # with the B of former pairings
         if jump.system.component is not None:  # a mixed space of displacement and pressure
             with destroyed_on_error(solver):
                 _ = self.error_bound  # raises the error
@@ -323,7 +328,10 @@ class ContactCompliance(PetscOwner):
         K need not be factored: surfaces are also paired after a factorisation has failed.
         """
         self._destroy_but_solver()
-        return ContactCompliance(jump, self.solver, self.springs)
+        result = ContactCompliance(jump, self.solver, self.springs)
+        result._products_before = self._products_before + self.products
+        vars(result)["surfaces"] = self.surfaces
+        return result
 
     def apply(self, x: Array) -> Array:
         """Return A x (size,) to the accuracy in the solver's options; a product. Collective."""
@@ -338,7 +346,7 @@ class ContactCompliance(PetscOwner):
 
         The 1 of each of this rank's rows is in the column `place` (rows,). Each column counts as a
         product. Blocks of columns are solved together, which with a direct solver costs far less
-        than single products. B is that of A, or has its split rows (`sparse_rows`).
+        than single products. B is that of A, or has rows with a single 1 (`SurfaceCompliance`).
         """
         prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
         for start in range(0, count, BLOCK):
@@ -359,33 +367,39 @@ class ContactCompliance(PetscOwner):
     def known_products(self) -> KnownProducts:
         """Return the store of all known products with A. Collective.
 
-        The first call computes A if it is sparse, or if it has few rows (`FEW`).
+        The first call computes A if this takes few solves with K (`FEW`).
         """
-        if self._store is not None:
-            return self._store
-        rows = sparse_rows(self)
-        if rows is not None:
-            self._store = self._whole(rows)
-            return self._store
-        jump, (size, unknowns) = self.jump, self.jump.matrix.getSize()
-        # in a mixed space, clamped nodes round the near field would fix its volume
-        has_near = size > 0 and jump.system.component is None
-        near = (lambda x: self.near_field.apply(x)) if has_near else None
-        self._store = ProductStore(
-            jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
-        )
-        if self.exact and 0 < size <= min(FEW * max(1.0, CHEAP / unknowns), MOST_AT_ONCE):
-            self.complete_products()
+        if self._store is None:
+            jump, (size, unknowns) = self.jump, self.jump.matrix.getSize()
+            # in a mixed space, clamped nodes round the near field would fix its volume
+            has_near = size > 0 and jump.system.component is None
+            near = (lambda x: self.near_field.apply(x)) if has_near else None
+            self._store = ProductStore(
+                jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
+            )
+            if self.exact and size > 0:
+                few = min(FEW * max(1.0, CHEAP / unknowns), MOST_AT_ONCE)
+                self.complete_products(few, MOST_AT_ONCE)
         return self._store
 
-    def complete_products(self) -> bool:
-        """Compute A as a dense matrix, unless it is known or too large; return whether it is known.
+    def complete_products(self, solves: float = np.inf, most_rows: int = LARGEST_DENSE) -> bool:
+        """Compute A as a matrix with at most so many solves, and rows if it is dense. Collective.
 
-        Each of its rows takes one solve with K, which counts as a product. Collective.
+        The result is whether A is known. Solves with K count as products. A follows from the
+        compliance of the surfaces if this takes fewer solves than A has rows, or if the products
+        of former pairings with this K have made up for them.
         """
-        B = self.jump.matrix
-        size, most = B.getSize()[0], LARGEST_DENSE if self.exact else LARGEST_DENSE_ITERATIVE
-        if not isinstance(self._store, WholeModel) and size <= most:
+        if isinstance(self._store, WholeModel):
+            return True
+        B, most_rows = self.jump.matrix, most_rows if self.exact else LARGEST_DENSE_ITERATIVE
+        size = B.getSize()[0]
+        limit = min(solves, size) + (self._products_before if size <= most_rows else 0)
+        if self.surfaces is not None and self.surfaces.extend(self, limit):
+            rows = self.surfaces.rows(self.jump)
+            is_sparse = self.comm.allreduce(rows.nnz) < SPARSE_SHARE * size**2
+            if is_sparse or size <= most_rows:
+                self._store = self._whole(rows if is_sparse else rows.toarray())
+        elif size <= min(solves, most_rows):
             self._store = self._whole(self.columns(np.arange(*B.getOwnershipRange()), size, B))
         return isinstance(self._store, WholeModel)
 
@@ -397,6 +411,14 @@ class ContactCompliance(PetscOwner):
     def forget(self) -> None:
         """Drop all products. Not collective."""
         self._store = None
+        vars(self).pop("surfaces", None)
+
+    @cached_property
+    def surfaces(self) -> SurfaceCompliance | None:
+        """The compliance of the surfaces; None if K may couple bodies, or is not factored."""
+        system = self.jump.system
+        usable = self.exact and system.component is None and not system.couples_bodies
+        return SurfaceCompliance(system.V) if usable else None
 
     @cached_property
     def floating(self) -> FloatingBodies | None:

@@ -84,7 +84,12 @@ class SmoothSurface:
 
     def __init__(self, nodes: SurfaceNodes) -> None:
         """Fit the surface; valid for facets with two rings on this rank. Not collective."""
-        facets, at_rim = nodes.facets, _rim_nodes(nodes)[nodes.facet_nodes]
+        facets = nodes.facets
+        # a node is at the rim if it is on a side that belongs to one facet only
+        sides = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
+        sides = np.sort(nodes.facet_nodes[:, sides].reshape(-1, facets.dim), axis=1)
+        sides, count = np.unique(sides, axis=0, return_counts=True)
+        at_rim = np.isin(nodes.facet_nodes, sides[count == 1])
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)  # corners of each pair
@@ -276,15 +281,6 @@ def turned_angles(cosines: Array) -> Array:
     """Return twice the largest angle (n,) [rad] of those with cosines (n, corners)."""
     least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
     return np.asarray(2.0 * np.arccos(least))
-
-
-def _rim_nodes(nodes: SurfaceNodes) -> Mask:
-    """Return whether each of the nodes (n,) is on a side that belongs to one facet only."""
-    facets = nodes.facets
-    corners = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
-    sides: Indices = np.sort(nodes.facet_nodes[:, corners].reshape(-1, facets.dim), axis=1)
-    sides, count = np.unique(sides, axis=0, return_counts=True)
-    return np.isin(np.arange(len(nodes.numbers)), sides[count == 1])
 
 
 def fitted_normals(nodes: SurfaceNodes) -> Array:

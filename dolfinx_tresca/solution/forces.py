@@ -17,10 +17,9 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_vector
 from dolfinx_tresca._base.arrays import Array, Indices, Mask, in_space, integer
-from dolfinx_tresca._base.bodies import labels_of
 from dolfinx_tresca._base.compat import owned_dofs
 from dolfinx_tresca._base.functions import assembled, owned_values
-from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
+from dolfinx_tresca._base.parallel import exchange, gather_rows, largest_abs, reduce_array
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.stiffness.frames import BodyFrames
@@ -115,8 +114,12 @@ def resultants_between(
     # bodies of both nodes, and the share as a force on the body with the lower number
     shares = vstack([pair.primary for pair in pairs], format="coo")
     secondary = np.concatenate([pair.nodes for pair in pairs])[shares.row]
-    partners, column = np.unique(shares.col, return_inverse=True)
-    on, by = label[secondary], labels_of(V, label, partners.astype(np.int64))[column]
+    partners, column = np.unique(shares.col.astype(np.int64), return_inverse=True)
+    # ask the ranks that own the partners for their bodies
+    start, end = V.dofmap.index_map.local_range
+    owners = (partners[:, None] >= np.array(comm.allgather(end))).sum(axis=1)
+    asked, source = exchange(comm, partners, owners)
+    on, by = label[secondary], exchange(comm, label[asked - start], source)[0][column]
     on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
     weights = np.linalg.norm(on_lower, axis=1)[:, None]

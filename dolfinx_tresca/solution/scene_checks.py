@@ -20,7 +20,7 @@ from dolfinx_tresca._base.functions import owned_values
 from dolfinx_tresca._base.parallel import RankReductions, largest_abs, reduce_array, warn
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.errors import shown_place
-from dolfinx_tresca.pairing.facets import FACING_COSINE, Facets
+from dolfinx_tresca.pairing.facets import FACING_COSINE
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import Pieces, near_lines
 from dolfinx_tresca.pairing.undeformed import straightened
@@ -200,25 +200,17 @@ def _motions_of_pair(
     yield Departure(slip / extent, SLIP, relative, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
     if in_facets > 1.0 and pair.obstacle is None:
-        facets = operators.undeformed.displaced(V, shape)[-1]
-        beyond = ~_lies_over(comm, facets, operators, jumps)
+        # has a node, where the jumps take it, an opposed primary facet within its size?
+        facets, reach = operators.undeformed.displaced(V, shape)[-1], operators.sizes
+        points, normals = in_space(operators.places + jumps), in_space(normals)
+        pieces = Pieces(near_lines(comm, facets, points, normals, reach, 0.0))
+        point, piece = pieces.near(points, reach)
+        opposed = dots(normals[point], pieces.normals[piece]) < -FACING_COSINE
+        beyond = np.isin(np.arange(len(points)), point[opposed], invert=True)
         left, total = reduce_array(comm, np.array([force @ beyond, force.sum()]))
         text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that have "
         text += "left the other side, but keep their normals and partners"
         yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
-
-
-def _lies_over(comm: MPI.Comm, primary: Facets, operators: PairOperators, jumps: Array) -> Mask:
-    """Return which displaced nodes (n,) have an opposed primary facet within their size.
-
-    The jumps (n, d) are the displacements from the nodes' places. Collective.
-    """
-    points, normals = in_space(operators.places + jumps), in_space(operators.normals)
-    reach = operators.sizes
-    pieces = Pieces(near_lines(comm, primary, points, normals, reach, 0.0))
-    point, piece = pieces.near(points, reach)
-    opposed = dots(normals[point], pieces.normals[piece]) < -FACING_COSINE
-    return np.isin(np.arange(len(points)), point[opposed])
 
 
 def hint_at_scene(

@@ -1,23 +1,33 @@
-"""A as a sparse matrix, from products that many bodies share."""
+"""A as a matrix, from the compliance of the surfaces."""
 
 from __future__ import annotations
+
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
 
+import dolfinx.fem.petsc
+from dolfinx import fem
+
+from dolfinx_tresca import Coulomb
+from scenes.patches import patch
 from scenes.wall import HEIGHT, wall
 
-#: Bricks in a course and courses.
-SIZE = 3, 5
+
+@pytest.fixture
+def refused(monkeypatch):
+    """Do without the compliance of the surfaces from this call on."""
+    name = "dolfinx_tresca.dual.products.SurfaceCompliance.extend"
+    return lambda: monkeypatch.setattr(name, lambda *arguments: False)
 
 
-def pushed(comm, parts: list[float]) -> tuple[np.ndarray, int]:
+def pushed(comm) -> tuple[np.ndarray, int]:
     """Displacements of the wall's top at the end of accepted load steps, and products."""
-    scene = wall(comm, *SIZE)
-    course = scene.data.weights.sum() / SIZE[1]
-    products = 0
+    scene, products = wall(comm, 3, 5), 0
+    course = scene.data.weights.sum() / 5
     with scene.problem() as problem:
-        for part in parts:
+        for part in (0.0, 0.1):
             scene.data.push.value = part * course / HEIGHT
             solution = problem.solve(rtol=1e-9)
             solution.raise_if_failed()
@@ -28,11 +38,45 @@ def pushed(comm, parts: list[float]) -> tuple[np.ndarray, int]:
 
 
 @pytest.mark.parallel
-def test_solutions_are_those_without_the_matrix(comm, monkeypatch):
+def test_solutions_are_those_without_the_matrix(comm, refused):
     """The wall under its weight and pushed: the same displacement; a push takes no product."""
-    with_matrix, products = pushed(comm, [0.0, 0.1])
-    monkeypatch.setattr("dolfinx_tresca.dual.products.sparse_rows", lambda *arguments: None)
-    without, _ = pushed(comm, [0.0, 0.1])
+    with_matrix, products = pushed(comm)
+    refused()
+    without, _ = pushed(comm)
     # relative residuals of 1e-9; displacements of the wall as a whole magnify them
     assert np.allclose(with_matrix, without, rtol=1e-6)
     assert products <= 32
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("springs", [0.0, 100.0])
+@pytest.mark.parametrize(("kind", "degree"), [("triangle", 2), ("tetrahedron", 1)])
+def test_pairings_share_the_compliance(comm, refused, kind, degree, springs):
+    """A block that moves to and fro on another one: the same forces, at last without products.
+
+    With springs between the blocks, in a matrix of the user, no block responds to its loads alone.
+    """
+    scene = patch(comm, kind, degree, upper=(3, 1), lower=(6, 2), friction=Coulomb(0.3))
+    upper = scene.V.tabulate_dof_coordinates()[:, scene.mesh.geometry.dim - 1] > 1.0
+    moved, K = fem.Function(scene.V), dolfinx.fem.petsc.assemble_matrix(fem.form(scene.a))
+    K.assemble()
+    with scene.problem() as problem:
+        N = problem.operators[0].N
+        more = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+        K.axpy(springs, N.transposeMatMult(N), structure=more)
+
+    def forces() -> tuple[list[np.ndarray], int]:
+        """Contact forces of each pairing, and the products of the last one."""
+        result = []
+        with scene.problem(**({"a": K, "V": scene.V} if springs else {})) as problem:
+            for shift in (0.0, 0.1, 0.2, -0.1, 0.1):
+                moved.x.array.reshape(len(upper), -1)[upper, 0] = shift
+                problem.update_geometry(moved)
+                solution = problem.solve(rtol=1e-10)
+                result.append(solution.pair_resultants[0].force)
+        return result, solution.products
+
+    shared, products = forces()
+    refused()
+    assert np.allclose(shared, forces()[0], rtol=1e-8, atol=1e-8)
+    assert springs or products == 0
