@@ -460,13 +460,10 @@ def tangent_of(
         ]
         return np.concatenate(by_pair, axis=1)
 
-    def present_vectors(side: JumpOperator, _: Array) -> Array:
-        """Return vectors of the present components, which turn with the tangents of B."""
-        return vectors(side, x * side.stress_scale, -linearised.gradient * side.length_scale)
-
-    changes = vectors(jump, stress, slip)
+    changes, r = vectors(jump, stress, slip), linearised.gradient
     for sides in change.jump_differences:
-        changes += sides.rate(present_vectors)
+        # vectors of the present components turn with the tangents of B
+        changes += sides.rate(lambda B, _: vectors(B, x * B.stress_scale, -r * B.length_scale))
     by_pair, result = jump.by_pair, []
     ends = np.cumsum([len(rows.operators.nodes) for rows in by_pair])[:-1]
     of_pairs = np.split(changes, ends, axis=1)

@@ -20,7 +20,7 @@ from dolfinx import la
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
 from dolfinx_tresca._base.bodies import label_bodies
-from dolfinx_tresca._base.parallel import gather_rows, largest_abs
+from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
 from dolfinx_tresca._base.petsc import (
     PetscOwner,
     dense_matrix,
@@ -45,75 +45,101 @@ BLOCK = 32
 #: some seconds, and the matrix takes 72 MB on each rank.
 LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
-#: A remains a sparse matrix if it has a smaller part of entries than this.
-SPARSE_SHARE = 0.25
+#: A is a sparse matrix if a smaller part of its entries than `SPARSE_SHARE` may differ from zero.
+#: With `MOST_ENTRIES` entries, a sparse matrix takes 240 MB on each rank.
+SPARSE_SHARE, MOST_ENTRIES = 0.25, 20_000_000
 
 
 class SurfaceCompliance:
     """S, the part of K^-1 between the degrees of freedom that contact acts on: A = B S B'.
 
-    K is block diagonal, with a block for each body, also if springs that fix floating bodies are
-    added. One solve with K, in which each body has one unit load, finds a column of each block of
-    S: the number of solves is the largest number of columns of a body, however many bodies there
-    are. (Compare Curtis, Powell and Reid 1974, On the estimation of sparse Jacobian matrices.) All
-    pairings with the same K share S, which gets columns for degrees of freedom that are new.
+    If K couples no two bodies, one solve with K, in which each body has one unit load, finds a
+    column of S for each body: the number of solves is the largest number of columns of a body,
+    however many bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of
+    sparse Jacobian matrices.) All pairings with one K share S; degrees of freedom on which contact
+    acts for the first time get new columns.
 
     Attributes:
-        dofs: (s,) the global numbers of these degrees of freedom, ascending; on every rank.
+        is_valid: whether K couples no two bodies, as springs between them would.
+        dofs: (s,) the global numbers of the degrees of freedom, ascending; on every rank.
         matrix: (s, s) S, sparse; on every rank.
     """
 
-    def __init__(self, V: Any) -> None:
-        """Begin without degrees of freedom. Collective."""
-        nodes, block, self._comm = V.dofmap.index_map, V.dofmap.index_map_bs, V.mesh.comm
-        self._body = np.repeat(label_bodies(V)[: nodes.size_local], block)
-        self._range = block * np.array(nodes.local_range)
-        self.dofs: Indices = np.empty(0, np.int64)
+    def __init__(self, system: Any, K: PETSc.Mat) -> None:
+        """Find out whether K couples bodies; S has no columns yet. Collective."""
+        nodes, block = system.V.dofmap.index_map, system.V.dofmap.index_map_bs
+        self._body = np.repeat(label_bodies(system.V)[: nodes.size_local], block)
+        self._comm, self._moves = system.comm, system.moves
+        self._range, self.dofs = block * np.array(nodes.local_range), self._body[:0]
         self.matrix = csr_array((0, 0))
+        # if K couples no bodies, K D = D K for a diagonal matrix D with a number for each body: to
+        # the last bit, since the numbers are powers of 2 (repeated after 1,000 bodies)
+        number, (x, y) = np.exp2(self._body % 1000 - 500), K.createVecs()
+        x.array = values = np.random.default_rng(0).uniform(0.5, 1.0, len(number))
+        K.mult(x, y)
+        expected, x.array = number * y.array, number * values
+        K.mult(x, y)
+        couples = np.abs(y.array - expected) > ROUNDING * np.abs(expected)
+        self.is_valid = not self._comm.allreduce(bool(couples.any()), op=MPI.LOR)
 
-    def extend(self, compliance: ContactCompliance, limit: float) -> bool:
-        """Compute the columns that B needs; return whether S has all of them. Collective.
+    def rows(self, compliance: ContactCompliance, solves: int, most_rows: int) -> Matrix | None:
+        """Return this rank's rows (size, n) of A. Collective.
 
-        None is computed if this takes `limit` solves, which count as products, or more, or if S
-        would have more than `LARGEST_DENSE`^2 entries.
+        The result is None if new columns take more than so many solves, which count as products, if
+        S or A would have more than `MOST_ENTRIES` entries, or if A has more than `most_rows` rows
+        and is not sparse (`SPARSE_SHARE`).
         """
-        B = compliance.jump.matrix
-        _, columns, values = B.getValuesCSR()
-        touched = gather_rows(self._comm, np.unique(columns[values != 0.0]))
+        jump, (size, unknowns) = compliance.jump, compliance.jump.matrix.getSize()
+        B = csr_array(jump.matrix.getValuesCSR()[::-1], shape=(len(jump.gap), unknowns))
+        B.eliminate_zeros()
+        touched = np.unique(gather_rows(self._comm, np.unique(B.indices)).astype(np.intp))
+        own = touched[self._mine(touched)]
+        touched = gather_rows(self._comm, own[self._moves[own - self._range[0]]])
         dofs = np.union1d(self.dofs, touched)
-        is_new = np.isin(dofs, self.dofs, invert=True)
-        if not is_new.any():
-            return True
-        mine, new = slice(*np.searchsorted(dofs, self._range)), np.flatnonzero(is_new)
-        own = dofs[mine]
-        body = gather_rows(self._comm, self._body[own - self._range[0]])
-        on_body = csr_array((np.ones(len(body)), (np.arange(len(body)), body)))
-        members = csc_array(on_body[new])
-        numbers = np.diff(members.indptr)
-        if numbers.max() >= limit or np.square(on_body.sum(axis=0)).sum() > LARGEST_DENSE**2:
-            return False
+        body = gather_rows(self._comm, self._body[dofs[self._mine(dofs)] - self._range[0]])
+        on_body = (np.ones(len(body)), (np.arange(len(body)), body))
+        on_body = csr_array(on_body, shape=(len(body), body.max(initial=0) + 1))
+        B = csr_array(B[:, dofs])
+        # A couples multipliers of the same body, and S its degrees of freedom
+        multipliers = np.diff(csc_array(abs(B) @ on_body).indptr).astype(np.float64)
+        counts = np.array([reduce_array(self._comm, multipliers), on_body.sum(axis=0)])
+        entries, is_new = np.square(counts).sum(axis=1), np.isin(dofs, self.dofs, invert=True)
+        is_sparse = entries[0] < SPARSE_SHARE * size**2
+        is_small = entries.max() <= MOST_ENTRIES and (is_sparse or size <= most_rows)
+        if not is_small or np.bincount(body[is_new], minlength=1).max() > solves:
+            return None
+        if is_new.any():
+            self._extend(compliance, dofs, is_new, on_body)
+        rows = B @ self.matrix @ jump.reductions.stacked(B).T
+        return csr_array(rows) if is_sparse else np.asarray(rows.toarray())
+
+    def _mine(self, dofs: Indices) -> slice:
+        """Return the slice of those of the ascending numbers that belong to this rank."""
+        return slice(*np.searchsorted(dofs, self._range))
+
+    def _extend(
+        self, compliance: ContactCompliance, dofs: Indices, is_new: Mask, on_body: csr_array
+    ) -> None:
+        """Compute the columns of the new ones of the degrees of freedom (s,). Collective.
+
+        `on_body` (s, bodies) has a 1 for the body of each degree of freedom.
+        """
+        B, mine, new = compliance.jump.matrix, self._mine(dofs), np.flatnonzero(is_new)
         # the load on a new degree of freedom is in the solve of its position among its body's
-        solve = np.full(len(dofs), -1)
+        members = csc_array(on_body[new])
+        numbers, solve = np.diff(members.indptr), np.full(len(dofs), -1)
         solve[new[members.indices]] = np.arange(len(new)) - np.repeat(members.indptr[:-1], numbers)
-        unit_rows = eye_array(B.getSize()[1], format="csr")[own]
-        unit_rows = sparse_matrix(unit_rows, B.getSizes()[1], self._comm)
-        responses = compliance.columns(solve[mine], int(numbers.max()), unit_rows)
+        unit_rows = eye_array(B.getSize()[1], format="csr")[dofs[mine]]
+        units = sparse_matrix(unit_rows, B.getSizes()[1], self._comm)
+        responses = compliance.columns(solve[mine], int(numbers.max()), units)
         row, column = (on_body[mine] @ on_body[new].T).nonzero()
         entries = responses[row, solve[new[column]]], (row, new[column])
-        added = csr_array(entries, shape=(len(own), len(dofs)))
+        added = csr_array(entries, shape=(len(responses), len(dofs)))
         added = compliance.jump.reductions.stacked(added)
         # S is symmetric: new rows of old columns are new columns of old rows
         old = eye_array(len(dofs), format="csr")[:, ~is_new]
         self.matrix = old @ self.matrix @ old.T + added + (old @ (old.T @ added)).T
         self.dofs = dofs
-        return True
-
-    def rows(self, jump: JumpOperator) -> csr_array:
-        """Return this rank's rows (size, n) of A; S has all columns that B needs. Collective."""
-        pointers, columns, values = jump.matrix.getValuesCSR()
-        B = csr_array((values, columns, pointers), shape=(len(jump.gap), jump.matrix.getSize()[1]))
-        B = csr_array(B[:, self.dofs])
-        return csr_array(B @ self.matrix @ jump.reductions.stacked(B).T)
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
@@ -305,7 +331,7 @@ class ContactCompliance(PetscOwner):
         self.jump, self.solver, self.springs, self.comm = jump, solver, springs, jump.comm
         self.exact, self.products = solver.exact, 0
         self._store: KnownProducts | None = None
-        self._products_before = 0  # with the B of former pairings
+        self._products_before = 0  # in former pairings, since the compliance of surfaces was used
         if jump.system.component is not None:  # a mixed space of displacement and pressure
             with destroyed_on_error(solver):
                 _ = self.error_bound  # raises the error
@@ -372,8 +398,8 @@ class ContactCompliance(PetscOwner):
         if self._store is None:
             jump, (size, unknowns) = self.jump, self.jump.matrix.getSize()
             # in a mixed space, clamped nodes round the near field would fix its volume
-            has_near = size > 0 and jump.system.component is None
-            near = (lambda x: self.near_field.apply(x)) if has_near else None
+            is_mixed = jump.system.component is not None
+            near = None if is_mixed or size == 0 else (lambda x: self.near_field.apply(x))
             self._store = ProductStore(
                 jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
             )
@@ -386,27 +412,24 @@ class ContactCompliance(PetscOwner):
         """Compute A as a matrix with at most so many solves, and rows if it is dense. Collective.
 
         The result is whether A is known. Solves with K count as products. A follows from the
-        compliance of the surfaces if this takes fewer solves than A has rows, or if the products
-        of former pairings with this K have made up for them.
+        compliance of the surfaces if this takes fewer solves than A has rows, or no more than the
+        number of products that former pairings with this K have taken.
         """
         if isinstance(self._store, WholeModel):
             return True
-        B, most_rows = self.jump.matrix, most_rows if self.exact else LARGEST_DENSE_ITERATIVE
-        size = B.getSize()[0]
-        limit = min(solves, size) + (self._products_before if size <= most_rows else 0)
-        if self.surfaces is not None and self.surfaces.extend(self, limit):
-            rows = self.surfaces.rows(self.jump)
-            is_sparse = self.comm.allreduce(rows.nnz) < SPARSE_SHARE * size**2
-            if is_sparse or size <= most_rows:
-                self._store = self._whole(rows if is_sparse else rows.toarray())
+        B, rows = self.jump.matrix, None
+        size, most_rows = B.getSize()[0], most_rows if self.exact else LARGEST_DENSE_ITERATIVE
+        if self.surfaces is not None:
+            limit = max(int(min(solves, size - 1)), self._products_before)
+            rows = self.surfaces.rows(self, limit, most_rows)
+        if rows is not None:
+            self._products_before = -self.products
         elif size <= min(solves, most_rows):
-            self._store = self._whole(self.columns(np.arange(*B.getOwnershipRange()), size, B))
-        return isinstance(self._store, WholeModel)
-
-    def _whole(self, rows: Matrix) -> WholeModel:
-        """Return the model of A from this rank's rows (size, n), dense or sparse. Collective."""
-        jump, start = self.jump, self.jump.matrix.getOwnershipRange()[0]
-        return WholeModel(jump.reductions, rows, start, np.reciprocal(self.nodal_stiffness), _solve)
+            rows = self.columns(np.arange(*B.getOwnershipRange()), size, B)
+        if rows is not None:
+            start, compliance = B.getOwnershipRange()[0], np.reciprocal(self.nodal_stiffness)
+            self._store = WholeModel(self.jump.reductions, rows, start, compliance, _solve)
+        return rows is not None
 
     def forget(self) -> None:
         """Drop all products. Not collective."""
@@ -415,10 +438,14 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def surfaces(self) -> SurfaceCompliance | None:
-        """The compliance of the surfaces; None if K may couple bodies, or is not factored."""
-        system = self.jump.system
-        usable = self.exact and system.component is None and not system.couples_bodies
-        return SurfaceCompliance(system.V) if usable else None
+        """The compliance of the surfaces. Collective.
+
+        It is None with an iterative solver, in a mixed space, and if K couples bodies.
+        """
+        if not self.exact or self.jump.system.component is not None:
+            return None
+        surfaces = SurfaceCompliance(self.jump.system, self.solver.matrix)
+        return surfaces if surfaces.is_valid else None
 
     @cached_property
     def floating(self) -> FloatingBodies | None:

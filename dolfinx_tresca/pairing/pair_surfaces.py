@@ -89,7 +89,13 @@ def _pair(
     if not displaced and pair.pairing == "nodes" and primary is not None:
         _check_meshes_match(V, pair, group_operators, nodes)
     if not displaced and len(group.pairs) > 1:
-        _check_each_has_area(group, reduce_array(comm, group_operators.shares.sum(axis=0)))
+        areas = reduce_array(comm, group_operators.shares.sum(axis=0))
+        for single, area in zip(group.pairs, areas, strict=True):
+            if area == 0.0 and single.sliding == "small":
+                raise PairingError(
+                    f"the surfaces of contact pair {single} do not face each other. Check the tags"
+                    f"{'' if pair.search_distance is None else ' and the search distance'}."
+                )
         group.say_laws(comm, group_operators.shares)
     owner = group.owners(group_operators.shares)
     return [
@@ -118,9 +124,8 @@ def _overlap_integrals(
     facets, primary = nodes.facets, primary_nodes.facets
 
     def tags_may_meet(facet: Indices, partner: Indices) -> Mask:
-        """Return whether a pair of the group has the tags of two facets, for facets (p,)."""
-        tags = facets.tag_index[facet], primary.tag_index[partner]
-        return np.asarray(group.pair_of_tags[tags] >= 0)
+        pair_of_facets = group.pair_of_tags[facets.tag_index[facet], primary.tag_index[partner]]
+        return np.asarray(pair_of_facets >= 0)
 
     with errors_on_all_ranks(comm):
         selected, limit = at_own_nodes(V, facets), pair.search_limit
@@ -133,16 +138,6 @@ def _overlap_integrals(
     if order is not None:
         shared = owners_flags(V, nodes.numbers, shared)
     return nodes, primary, integrals, shared
-
-
-def _check_each_has_area(group: PairGroup, areas: Array) -> None:
-    """Raise PairingError if a pair of small sliding has none of the group's `areas` (pairs,)."""
-    for pair, area in zip(group.pairs, areas, strict=True):
-        if area == 0.0 and pair.sliding == "small":
-            raise PairingError(
-                f"the surfaces of contact pair {pair} do not face each other. Check the tags"
-                f"{'' if pair.search_distance is None else ' and the search distance'}."
-            )
 
 
 def _check_meshes_match(

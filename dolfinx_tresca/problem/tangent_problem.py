@@ -144,7 +144,6 @@ class TangentSystem(LinearSystem):
             self.K = self._tangent
         super().assemble_stiffness()
         self._tangent = self.K  # a new object after each assembly if the user gives J as a matrix
-        self.couples_bodies = self._is_matrix or self.added is not None
         if self.added is not None:
             self.K = self._tangent.copy()
             self.K.axpy(1.0, self.added, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)

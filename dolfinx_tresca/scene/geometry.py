@@ -89,7 +89,12 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: s
     # if Gmsh's parser raised an error itself, the next call would continue with the rest of the
     # file, even after gmsh.finalize()
     with options(gmsh, {"General.AbortOnError": 0}), tempfile.TemporaryDirectory() as folder:
-        opened = _with_parameters(path, parameters, Path(folder)) if parameters else path
+        opened = Path(folder, "with_parameters.geo") if parameters else path
+        if parameters:  # a `.geo` file that sets them, so that DefineConstant does not change them
+            lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
+            quote = "'" if '"' in str(path.resolve()) else '"'  # Gmsh has no escape sequence
+            lines.append(f"Include {quote}{path.resolve()}{quote};\n")
+            opened.write_text("\n".join(lines))
         gmsh.logger.start()
         try:
             gmsh.open(str(opened))
@@ -107,20 +112,6 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: s
                 f"'{path}' sets {name} = {actual:g} itself and ignores the value {float(value):g}. "
                 f"Declare it there as DefineConstant[ {name} = {actual:g} ]."
             )
-
-
-def _with_parameters(path: Path, parameters: Mapping[str, float], folder: Path) -> Path:
-    """Write a `.geo` file to a folder that sets parameters and then includes the user's file.
-
-    DefineConstant does not change a name that is defined already, so the new file has the effect of
-    Gmsh's option -setnumber.
-    """
-    file = folder / "with_parameters.geo"
-    lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
-    quote = "'" if '"' in str(path.resolve()) else '"'  # Gmsh has no escape sequence
-    lines.append(f"Include {quote}{path.resolve()}{quote};\n")
-    file.write_text("\n".join(lines))
-    return file
 
 
 #: Function from points (3, n) near a surface to the nearest points (3, n) on the surface [length].

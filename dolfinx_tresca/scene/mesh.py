@@ -220,7 +220,13 @@ def _meshed(
     _mesh(gmsh, source, size)
     groups = _physical_groups(gmsh.model, source)
     _check_facets(gmsh.model, source)
-    _number_nodes(gmsh.model)
+    # DOLFINx requires that the nodes of cells with tags are the first ones, without gaps
+    dim, nodes = gmsh.model.getDimension(), gmsh.model.mesh.getNodes()[0]
+    cells = gmsh.model.getPhysicalGroups(dim)
+    of_groups = [gmsh.model.mesh.getNodesForPhysicalGroup(*group)[0] for group in cells]
+    first_nodes = np.unique(np.concatenate(of_groups))
+    nodes = np.concatenate([first_nodes, np.setdiff1d(nodes, first_nodes)])
+    gmsh.model.mesh.renumberNodes(nodes, np.arange(1, len(nodes) + 1))
     if suffix in (".geo", *CAD_SUFFIXES):
         return groups, GmshGeometry(source.resolve(), parameters, curved_groups(gmsh.model), unit)
     return groups, None if is_file else GmshGeometry.from_shapes(gmsh)
@@ -455,12 +461,3 @@ def _check_facets(model: Any, path: Path) -> None:
                 "mesh the bodies without merging them (in Gmsh without fragment, Coherence and "
                 "removeDuplicateNodes); else put the surface into one group."
             )
-
-
-def _number_nodes(model: Any) -> None:
-    """Number the nodes of cells with tags first, without gaps, as DOLFINx requires."""
-    mesh, groups = model.mesh, model.getPhysicalGroups(model.getDimension())
-    nodes = [mesh.getNodesForPhysicalGroup(*group)[0] for group in groups]
-    cell_nodes = np.unique(np.concatenate(nodes))
-    before = np.concatenate([cell_nodes, np.setdiff1d(mesh.getNodes()[0], cell_nodes)])
-    mesh.renumberNodes(before, np.arange(1, len(before) + 1))

@@ -14,7 +14,7 @@ from dolfinx_tresca.solvers.constraints import norm
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
-#: Largest residual, divided by its scale or by |b|, whose stagnation rounding may cause.
+#: Largest residual, divided by its scale or by `terms`, whose stagnation rounding may cause.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
@@ -33,6 +33,8 @@ class NaturalResidual:
         zero: the point lambda = 0, with the constraints' present multipliers.
         zero_is_solution: whether the residual at lambda = 0 is rounding.
         rounding: largest residual that counts as rounding.
+        terms: norm of the terms of b before they cancel. It is much larger than the scale if the
+            loads move bodies much less than the width of a gap.
     """
 
     def __init__(self, problem: DualProblem, rho: float, error: float = 0.0) -> None:
@@ -56,8 +58,8 @@ class NaturalResidual:
         at_zero = self.norm_at(self.zero)
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         constraint_terms = self._problem.constraints.absolute @ np.abs(self.zero.c)
-        self._terms = norm(self._problem, self._problem.b_terms)
-        terms = self._terms + norm(self._problem, constraint_terms)
+        self.terms = norm(self._problem, self._problem.b_terms)
+        terms = self.terms + norm(self._problem, constraint_terms)
         # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), and rho is 1 / sigma_max
         self.rounding = max(ROUNDING * terms, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = at_zero <= self.rounding
@@ -83,15 +85,6 @@ class NaturalResidual:
         change = norm(self._problem, x - section.project(x - self.rho * point.r))
         unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))
         return float(np.hypot(change, unbalanced)) / self.rho
-
-    def is_limited_by_rounding(self, residual: float) -> bool:
-        """Return whether rounding may keep a residual from decreasing. Not collective.
-
-        This is possible if the residual is small compared with its scale, or with the terms of b
-        before they cancel. These matter if the loads move bodies much less than the width of a gap:
-        open gaps do not enter the scale, but have rounding errors.
-        """
-        return residual <= EXHAUSTED * max(self.scale, self._terms)
 
     def relative(self, residual: float) -> float:
         """Return a natural residual divided by its scale. Not collective."""

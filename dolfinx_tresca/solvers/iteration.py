@@ -20,7 +20,7 @@ from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
 from dolfinx_tresca.solvers.constraints import balance, norm
-from dolfinx_tresca.solvers.convergence import History, NaturalResidual, Observe
+from dolfinx_tresca.solvers.convergence import EXHAUSTED, History, NaturalResidual, Observe
 from dolfinx_tresca.solvers.problem import (
     DualProblem,
     DualSolution,
@@ -347,7 +347,7 @@ class ModelNewton:
         stalls = (is_same and not iterate.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
-        is_limited = residual.is_limited_by_rounding(norms[-1])
+        is_limited = norms[-1] <= EXHAUSTED * max(residual.scale, residual.terms)
         is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not is_limited
         misses = self.misses >= MISSES
         if (stalls or is_slow or misses) and self.complete_products():

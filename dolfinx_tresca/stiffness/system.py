@@ -46,7 +46,6 @@ class LinearSystem(PetscOwner):
         form: the bilinear form; None if it was given compiled or as a matrix.
         loads: the linear form, as the user has given it.
         K: the `PETSc.Mat`, symmetric.
-        couples_bodies: whether K may couple bodies: forms do not, matrices of the user may.
         f: the load, a `fem.Function` whose vector is f.
         prescribed: (owned degrees of freedom,) whether each is prescribed.
         moves: (owned degrees of freedom,) whether each is a displacement and not prescribed.
@@ -90,7 +89,7 @@ class LinearSystem(PetscOwner):
         self.loads, self.entity_maps = L, entity_maps
         self._a = forms.compiled("a", a, self.V.mesh, entity_maps)
         self._L = forms.compiled("L", L, self.V.mesh, entity_maps)
-        self._is_matrix = self.couples_bodies = isinstance(self._a, PETSc.Mat)
+        self._is_matrix = isinstance(self._a, PETSc.Mat)
         self.K = PETSc.Mat() if self._is_matrix else dolfinx.fem.petsc.create_matrix(self._a)
         self._columns: Any = None  # prescribed columns of K before the elimination
         self._coupled = True  # whether they have entries off the diagonal
