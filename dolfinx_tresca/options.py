@@ -111,9 +111,8 @@ class SolverOptions:
         """Return options whose `rtol`, or else `accuracy` if a number, is at most a value."""
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
-        if self.accuracy == "balanced":
-            return self
-        return self.with_changes(accuracy=min(self.accuracy, accuracy))
+        is_number = self.accuracy != "balanced"
+        return self.with_changes(accuracy=min(self.accuracy, accuracy)) if is_number else self
 
     @property
     def step_factor(self) -> float:

@@ -93,8 +93,7 @@ def same_topology(given: Any, mesh: Any) -> bool:
 def with_values(tags: Any, values: LocalNumbers) -> Any:
     """Return tags of the same entities with other values (n,)."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
-    kind = type(tags._cpp_object)
-    return dolfinx.mesh.MeshTags(kind(topology, tags.dim, tags.indices, values))
+    return dolfinx.mesh.MeshTags(type(tags._cpp_object)(topology, tags.dim, tags.indices, values))
 
 
 def contains(V: Any, bc: Any) -> bool:

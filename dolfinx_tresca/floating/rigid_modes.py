@@ -251,12 +251,14 @@ class FixingSprings:
         forces = product(K, modes.basis)
         norms = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
         norms[norms == 0.0] = 1.0
-        # K couples no two bodies, so that one solve serves one soft mode of every body; its answer
-        # is split into the columns of V by the body of each row (`moves`)
+        # one solve serves one soft mode of every body, and its answer is split into columns of V by
+        # the body of each row (`moves`), unless K couples bodies, as springs between them do
         soft, body, n = ~modes.floats, modes.body, forces.shape[0]
-        number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
         label = np.repeat(modes.bodies.label, modes.dim)
         moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
+        number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
+        if modes.comm.allreduce((forces - forces * moves).count_nonzero() > 0, op=MPI.LOR):
+            moves, number_on_body = np.ones((n, k)), np.arange(k)
         force, answer = K.createVecLeft(), K.createVecRight()
         V = csr_array(modes.basis.shape)
         for number in np.unique(number_on_body[soft]):
@@ -264,7 +266,7 @@ class FixingSprings:
             force.array = forces @ (chosen / norms)
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
-            V = V + diags_array(answer.array) @ moves @ diags_array(chosen * norms)
+            V = V + csr_array(diags_array(answer.array) @ moves @ diags_array(chosen * norms))
         return V
 
 

@@ -24,9 +24,7 @@ from dolfinx_tresca import (
     Tresca,
     refine,
 )
-from dolfinx_tresca._base.arguments import checked_integer
 from dolfinx_tresca._base.arrays import integer, real
-from dolfinx_tresca.stiffness.choice import SolverRequest
 from scenes.blocks import block
 
 REALS = [1, 1.0, Fraction(1), np.array(1.0), np.array(1)]
@@ -71,12 +69,8 @@ ARGUMENTS = {
 #: Name -> a call with a public argument that is an integer.
 WHOLE = {
     "iterations": lambda value: SolverOptions(max_iterations=value),
-    "steps": lambda value: NewtonOptions(max_iterations=value),
-    "halvings": lambda value: NewtonOptions(max_halvings=value),
-    "levels": lambda value: checked_integer("max_levels", value),
     "pair": NormalForce,
     "tag": lambda value: _pair(secondary=value, primary=RigidPlane((0, 0), (0, 1))),
-    "solves": lambda value: SolverRequest(expected_solves=value),
 }
 
 

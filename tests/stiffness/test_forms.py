@@ -14,8 +14,8 @@ import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactSolution, InputError, SurfaceFields, Tresca
-from scenes.patches import UPPER, patch
+from dolfinx_tresca import ContactSolution, Coulomb, InputError, SurfaceFields, Tresca
+from scenes.patches import BOTTOM, TOP, UPPER, patch
 from scenes.scene import EPS, Scene
 
 pytestmark = pytest.mark.parallel
@@ -71,6 +71,20 @@ def test_matrices_of_other_types(scene):
         assert problem.solve(rtol=1e-10).normal_force == pytest.approx(after, rel=1e-9)
     for owned in (K, springs):
         owned.destroy()
+
+
+def test_springs_between_bodies_on_springs(comm):
+    """No body is held by itself: contact carries the load of the upper block, which floats."""
+    scene = patch(comm, "quadrilateral", friction=Coulomb(0.5))
+    (u, v), ds = scene.a.arguments()[::-1], ufl.Measure("ds", subdomain_data=scene.facet_tags)
+    K = dolfinx.fem.petsc.assemble_matrix(fem.form(scene.a + ufl.inner(u, v) * ds(BOTTOM)))
+    K.assemble()
+    with scene.problem() as problem:
+        N = problem.operators[0].N
+        more = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+        K.axpy(1.0, N.transposeMatMult(N), structure=more)
+    with scene.problem(a=K, V=scene.V, L=-v[1] * ds(TOP), bcs=[]) as problem:
+        assert problem.solve(rtol=1e-10).normal_force == pytest.approx(1.0, rel=1e-9)
 
 
 def test_matrices_that_are_not_ready(scene):
