@@ -12,8 +12,8 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
   `FeasibleSet`, or `FrictionCones` if any bound depends on the pressure.
 - `friction_discs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
   evaluates any field of the user at nodes.
-- `ContactCompliance`: A for one B and one K, and all that follows from K alone: products, near
-  field, bound, error estimate.
+- `ContactCompliance`: A for one B and one K, with products, near field, bound, error estimate.
+- `SurfaceCompliance`: S, the part of K^-1 with A = B S B', which pairings with one K share.
 - `SlipHistory`: slip and dissipation of the accepted load steps.
 - `EnergyBound`: a bound of the iteration's error; `DiscretisationError` estimates the mesh's.
 - `DualProgram`: all of these together for one load, the input of `solvers`: b, and the displacement
@@ -28,7 +28,7 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 | r | `DualSolution.gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
 | Lambda, g | `DualProgram.section_at`, its `radius` | feasible set, slip bounds at a point |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
-| D, S | `NearField`, D also diag(K)^-1 in `Lift` | local approximations |
+| D, S | `NearField`, D also diag(K)^-1 in `Lift` | approximations of A, K^-1 near the contact |
 
 One solve, from the user's call to the table, with linear bodies. Once for all solves,
 `ContactProblem(...)` makes the `LinearSystem`, pairs the surfaces (`pair_all_surfaces`) and makes B
@@ -41,8 +41,9 @@ factors K with springs that hold them; A follows.
 2. `ContactSystem.solve` assembles f, evaluates slip bounds and gaps at the nodes, and makes the
    `DualProgram`, with `bounded` as `admissible`, and with u = K^-1 f, from which b follows.
 3. `iteration.solve` (room `solvers`) chooses the method, by default `ModelNewton.run`. It begins at
-   the multipliers of the state, or at zero if the residual is smaller there; if bounds depend on
-   the pressure, always at the accepted tractions, as there may be several fixed points.
+   the multipliers of the state, or at zero if the residual is smaller there (not in a load step
+   with bounds that depend on the pressure, as there may be several fixed points). If bodies float,
+   `balance` moves the start into equilibrium.
 4. Each iteration has two parts. `ModelNewton.target` calls `solve_model`, which solves the contact
    problem with a model M in place of A: `SemismoothNewton.solve` (`newton_solution`) takes steps
    that need no product with A, several times if M contains the near field, whose products improve
@@ -63,8 +64,8 @@ factors K with springs that hold them; A follows.
    `ContactSolution`, whose status `ContactSystem.checked` changes if it has left linear theory.
 
 For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
-bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 6 and the first
-sentence of step 7, from the multipliers before; each new K has a new A, without products. `accept`
+bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 7 without
+`checked`, from the multipliers before; each new K or B has a new A, without products. `accept`
 (room `problem`) makes the tractions, slips and places of obstacles of a solution those from which
 the next load step begins (`StepState.after_solution`).
 

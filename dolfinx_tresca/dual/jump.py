@@ -220,7 +220,8 @@ class JumpOperator(PetscOwner):
     def of_unknowns(self, u: PETSc.Vec) -> Array:
         """Return B u as a new array, for all unknowns u of the system. Collective.
 
-        With `frames` these are displacements v in the frames, and the result is B R v.
+        With `frames` these are v of u = u_R + R v (`BodyFrames`): the result is B R v, the jump
+        without that of the rigid motion u_R of the frames.
         """
         self.matrix.mult(u, self._jump)
         return np.array(self._jump.array)

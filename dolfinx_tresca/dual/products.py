@@ -300,15 +300,16 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
     return np.asarray(near.array[: nodes.size_local] > 0.0)
 
 
-#: With a direct solver, A is computed at once if it has at most `FEW` rows; if K has fewer than
-#: `CHEAP` unknowns, as in the plane, the number may be larger in proportion, up to `MOST_AT_ONCE`.
+#: With a direct solver, A is computed at once if this takes at most `FEW` solves; if K has fewer
+#: than `CHEAP` unknowns, as in the plane, in proportion more; and if A is sparse or has no more
+#: than `MOST_AT_ONCE` rows.
 #: (Without, two strips in the plane with 802 rows, continued from a file, take six times the time;
 #: without the limit, a layer of 400 cells that touches with all of its 441 lower nodes takes four.)
 FEW, CHEAP, MOST_AT_ONCE = 400, 10_000, 1000
 
 
 class ContactCompliance(PetscOwner):
-    """A = B K^-1 B' of (38.4), and all data that follow from K alone: computed once for each K.
+    """A = B K^-1 B' of (38.4) for one B and one K, with data that follow from both.
 
     If bodies float, K stands for K_p, which is K with springs that fix these bodies
     (`floating/rigid_modes.py`). Data that not every solve needs are computed on first access. Owns
@@ -331,7 +332,7 @@ class ContactCompliance(PetscOwner):
         self.jump, self.solver, self.springs, self.comm = jump, solver, springs, jump.comm
         self.exact, self.products = solver.exact, 0
         self._store: KnownProducts | None = None
-        self._products_before = 0  # in former pairings, since the compliance of surfaces was used
+        self._products_before = 0  # by former pairings, after the last use of `surfaces`
         if jump.system.component is not None:  # a mixed space of displacement and pressure
             with destroyed_on_error(solver):
                 _ = self.error_bound  # raises the error
@@ -356,7 +357,8 @@ class ContactCompliance(PetscOwner):
         self._destroy_but_solver()
         result = ContactCompliance(jump, self.solver, self.springs)
         result._products_before = self._products_before + self.products
-        vars(result)["surfaces"] = self.surfaces
+        if "surfaces" in vars(self):
+            vars(result)["surfaces"] = self.surfaces
         return result
 
     def apply(self, x: Array) -> Array:
@@ -368,11 +370,11 @@ class ContactCompliance(PetscOwner):
         return self.jump.of_unknowns(u)
 
     def columns(self, place: Indices, count: int, B: PETSc.Mat) -> Array:
-        """Return B K^-1 B'E (rows, count), where each row of E has a single 1. Collective.
+        """Return B K^-1 B'E (rows, count), where a row of E has a single 1 or nothing. Collective.
 
-        The 1 of each of this rank's rows is in the column `place` (rows,). Each column counts as a
-        product. Blocks of columns are solved together, which with a direct solver costs far less
-        than single products. B is that of A, or has rows with a single 1 (`SurfaceCompliance`).
+        The 1 of each of this rank's rows is in the column `place` (rows,); -1: none. Each column is
+        a product. Blocks of columns are solved together, which with a direct solver costs far less
+        than single products. B is that of A, or has unit rows (`SurfaceCompliance`).
         """
         prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
         for start in range(0, count, BLOCK):
@@ -413,7 +415,7 @@ class ContactCompliance(PetscOwner):
 
         The result is whether A is known. Solves with K count as products. A follows from the
         compliance of the surfaces if this takes fewer solves than A has rows, or no more than the
-        number of products that former pairings with this K have taken.
+        number of products that former pairings with this K have taken without it.
         """
         if isinstance(self._store, WholeModel):
             return True

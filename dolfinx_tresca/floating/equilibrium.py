@@ -93,8 +93,9 @@ class Tools:
     ) -> Tools:
         """Compute G. Not collective.
 
-        The primary side moves: rows of G are minus the motion along their normal or tangent, over
-        the node's areas on all pairs; `stress_scale` (of B) divides by the root of its whole area.
+        The primary side moves: rows of G are minus the motion along their normal or tangent, times
+        the areas of the node on all pairs of the tool (`by_pair` of B); `stress_scale`, of B, too,
+        divides by the root of its whole area.
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
@@ -322,7 +323,8 @@ class FloatingBodies:
     ) -> EqualityConstraints:
         """Return the equations if contact forces can satisfy them, and else raise. Collective.
 
-        If they can up to rounding, `values` are changed such that they can exactly.
+        If they can up to rounding, `values` are changed such that they can exactly. If they cannot,
+        the `shift` grows along a rigid motion that the loads cause (`iteration.friction_deficit`).
         """
         increased = replace(constraints, values=(1.0 + LOAD_RESERVE) * constraints.values)
         balanced = balance(increased, feasible_set)

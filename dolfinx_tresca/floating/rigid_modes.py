@@ -31,7 +31,8 @@ class RigidBodyModes:
 
     Attributes:
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
-        stiffness: (k,) approximate stiffness of the mode's body against deformations of length 1.
+        stiffness: (k,) approximate stiffness of the mode's body against deformations of length 1
+            in the degrees of freedom.
         floats: (k,) True: K does not resist the mode at all; False: soft springs resist it.
         body: (k,) the body of each mode, ascending.
         mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`,
@@ -99,7 +100,8 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     gram = sums.sparse_inner(free, free)
     body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.count))
 
-    # a body's own stiffness E L^(dim-2): K's diagonal is about E h^(dim-2), with (L/h)^dim nodes
+    # a body's own stiffness against motions of length 1 in its degrees of freedom: E L^(dim-2) by
+    # its N = (L/h)^dim nodes, where K's diagonal is about E h^(dim-2)
     stiffness = largest / bodies.node_counts ** (2.0 / dim)
     # rounding: the product with K adds some hundred entries of each row, which cancel each other
     nothing = 8.0 * ROUNDING * largest

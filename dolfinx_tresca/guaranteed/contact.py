@@ -165,7 +165,9 @@ class ContactSurface:
     def lift(self, v: fem.Function) -> None:
         """Move nodes such that nothing penetrates, and bonded surfaces have no jumps. Collective.
 
-        Pressed nodes also close their gaps. The nodes of both sides move, where they are free.
+        Pressed nodes also close their gaps. The nodes of both sides move, where they are free; with
+        degree 2, only rigid planes are on the other side. `room` is the change of jumps if all free
+        nodes move by 1.
         """
         values, nodes = v.x.array.reshape(-1, self._cells.d), self._nodes
         axes = np.zeros_like(values) + self._axes.sum(axis=0)

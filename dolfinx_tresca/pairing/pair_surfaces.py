@@ -145,8 +145,8 @@ def _check_meshes_match(
 ) -> None:
     """Raise PairingError unless each secondary node faces one primary node. Collective.
 
-    On matching meshes the means at a node have equal weights on both sides. Elsewhere the sums of
-    their squares differ by one to two times the distance of the nodes, in sizes of a facet.
+    On matching meshes both means at a node have the weight 1. At a distance t from a primary node,
+    in sizes of a facet, its weight is 1 - t: the sums of squares of weights differ by about 2 t.
     """
     differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
     apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)

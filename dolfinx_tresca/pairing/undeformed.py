@@ -412,7 +412,8 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: i
 def straightened(V: Any, u: Array) -> Array:
     """Return u (nodes, dim) without what would bend edges beyond the degree of the geometry.
 
-    Nodes between vertices get the mean displacement of those of their edge, face or cell [length].
+    Nodes between vertices get the mean displacement [length] of the vertices of their edge, face or
+    cell. `load_steps.displaced_jump` says how the gap then includes the bending.
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):

@@ -200,7 +200,8 @@ class ContactProcess(PetscOwner, Tabulated):
     def set_slip_origin(self, u: fem.Function | None) -> None:
         """Begin load steps at a displacement u: the slip of later solutions counts from T u.
 
-        This continues from a state that another program computed. Collective.
+        This continues from a state that another program computed. Slip against obstacles counts
+        from their present places. Collective.
 
         Args:
             u: displacement [length] in the problem's space; None: the slip counts from the
@@ -215,7 +216,7 @@ class ContactProcess(PetscOwner, Tabulated):
         contact.obstacles.check_no_tools("a slip origin")
         if u is not None:
             contact.linear.check_displacement("the slip origin", u, " or None,")
-        contact.record_motions()
+        contact.record_motions()  # `after_step` takes the present places of obstacles
         slip = SlipHistory.none(jump) if u is None else SlipHistory.from_displacement(jump, u)
         contact.state = contact.state.after_step(slip, None if u is None else u.copy())
 

@@ -221,11 +221,10 @@ def _meshed(
     groups = _physical_groups(gmsh.model, source)
     _check_facets(gmsh.model, source)
     # DOLFINx requires that the nodes of cells with tags are the first ones, without gaps
-    dim, nodes = gmsh.model.getDimension(), gmsh.model.mesh.getNodes()[0]
-    cells = gmsh.model.getPhysicalGroups(dim)
+    cells = gmsh.model.getPhysicalGroups(gmsh.model.getDimension())
     of_groups = [gmsh.model.mesh.getNodesForPhysicalGroup(*group)[0] for group in cells]
     first_nodes = np.unique(np.concatenate(of_groups))
-    nodes = np.concatenate([first_nodes, np.setdiff1d(nodes, first_nodes)])
+    nodes = np.concatenate([first_nodes, np.setdiff1d(gmsh.model.mesh.getNodes()[0], first_nodes)])
     gmsh.model.mesh.renumberNodes(nodes, np.arange(1, len(nodes) + 1))
     if suffix in (".geo", *CAD_SUFFIXES):
         return groups, GmshGeometry(source.resolve(), parameters, curved_groups(gmsh.model), unit)

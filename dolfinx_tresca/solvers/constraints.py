@@ -177,7 +177,7 @@ class Balance:
 
     Attributes:
         shift: (k,) the solution z; the multipliers are P(y + G z).
-        excess: (k,) residual of the equation.
+        excess: (k,) residual of the equation, its left side minus e.
         satisfied: whether the residual is at most the rounding error of the equation's terms. (The
             rounding of G z does not count.)
         unbounded: whether all solutions are too large (`LARGEST_REACTION`), or none exists.

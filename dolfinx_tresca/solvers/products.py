@@ -353,9 +353,10 @@ class ProductStore:
         return max(float(least.max()), near_estimate)
 
     def apply_with_near(self, x: Array) -> Array:
-        """Return M x (size,) with the near field D in `model`; keep the product D x. Collective.
+        """Return M x (size,) for the model M based on the near field D itself. Collective.
 
-        With the part v of x that is A-orthogonal to W, M x is A (x - v) + (I - Y W') D v.
+        With the part v of x that is A-orthogonal to W, M x is A (x - v) + (I - Y W') D v. The
+        product D v is kept.
         """
         assert self.near is not None
         new, product = self.split(x)

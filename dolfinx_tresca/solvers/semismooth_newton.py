@@ -231,7 +231,7 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
             for interior in interior_guesses(newton, model, guess):
                 end = newton.solve(interior, tolerance)
                 point = end if end.residual < max(point.residual, is_lost * enough) else point
-                if point.residual <= enough:
+                if (end if is_lost else point).residual <= enough:
                     break
     # the point in the cones to which the residual belongs (`SemismoothNewton.point`)
     x = problem.admissible.at_point(point.x, point.r).project(point.x)
