@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import la
 
-from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.arrays import ROUNDING, Array
 from dolfinx_tresca._base.compat import geometry_dofmap
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
 
@@ -48,6 +48,21 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     count, body_of_fragment = connected_components(graph, directed=False)
     body = body_of_fragment[fragment]
     return np.asarray(_places_of_bodies(V, body, count)[body])
+
+
+def couples_bodies(K: Any, body: npt.NDArray[np.int64]) -> bool:
+    """Return whether a matrix couples bodies, as springs between them do. Collective.
+
+    If K couples none, K D = D K for a diagonal matrix D with a number for each body (`body` (n,) is
+    that of each of this rank's rows): to the last bit, for powers of 2 (repeated from body 1,000).
+    """
+    D, (x, y) = np.exp2(body % 1000 - 500), K.createVecs()
+    x.array = values = np.random.default_rng(0).uniform(0.5, 1.0, len(body))
+    K.mult(x, y)
+    expected, x.array = D * y.array, D * values
+    K.mult(x, y)
+    differs = np.abs(y.array - expected) > ROUNDING * np.abs(expected)
+    return bool(K.comm.tompi4py().allreduce(bool(differs.any()), op=MPI.LOR))
 
 
 def _places_of_bodies(V: Any, body: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:

@@ -19,7 +19,7 @@ from scipy.sparse import csc_array, csr_array, eye_array
 from dolfinx import la
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
-from dolfinx_tresca._base.bodies import label_bodies
+from dolfinx_tresca._base.bodies import couples_bodies, label_bodies
 from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
 from dolfinx_tresca._base.petsc import (
     PetscOwner,
@@ -60,27 +60,18 @@ class SurfaceCompliance:
     acts for the first time get new columns.
 
     Attributes:
-        is_valid: whether K couples no two bodies, as springs between them would.
+        body: (owned degrees of freedom,) the body of each.
         dofs: (s,) the global numbers of the degrees of freedom, ascending; on every rank.
         matrix: (s, s) S, sparse; on every rank.
     """
 
-    def __init__(self, system: Any, K: PETSc.Mat) -> None:
-        """Find out whether K couples bodies; S has no columns yet. Collective."""
+    def __init__(self, system: Any) -> None:
+        """Begin without degrees of freedom. Collective."""
         nodes, block = system.V.dofmap.index_map, system.V.dofmap.index_map_bs
-        self._body = np.repeat(label_bodies(system.V)[: nodes.size_local], block)
+        self.body = np.repeat(label_bodies(system.V)[: nodes.size_local], block)
         self._comm, self._moves = system.comm, system.moves
-        self._range, self.dofs = block * np.array(nodes.local_range), self._body[:0]
+        self._range, self.dofs = block * np.array(nodes.local_range), self.body[:0]
         self.matrix = csr_array((0, 0))
-        # if K couples no bodies, K D = D K for a diagonal matrix D with a number for each body: to
-        # the last bit, since the numbers are powers of 2 (repeated after 1,000 bodies)
-        number, (x, y) = np.exp2(self._body % 1000 - 500), K.createVecs()
-        x.array = values = np.random.default_rng(0).uniform(0.5, 1.0, len(number))
-        K.mult(x, y)
-        expected, x.array = number * y.array, number * values
-        K.mult(x, y)
-        couples = np.abs(y.array - expected) > ROUNDING * np.abs(expected)
-        self.is_valid = not self._comm.allreduce(bool(couples.any()), op=MPI.LOR)
 
     def rows(self, compliance: ContactCompliance, solves: int, most_rows: int) -> Matrix | None:
         """Return this rank's rows (size, n) of A. Collective.
@@ -96,7 +87,7 @@ class SurfaceCompliance:
         own = touched[self._mine(touched)]
         touched = gather_rows(self._comm, own[self._moves[own - self._range[0]]])
         dofs = np.union1d(self.dofs, touched)
-        body = gather_rows(self._comm, self._body[dofs[self._mine(dofs)] - self._range[0]])
+        body = gather_rows(self._comm, self.body[dofs[self._mine(dofs)] - self._range[0]])
         on_body = (np.ones(len(body)), (np.arange(len(body)), body))
         on_body = csr_array(on_body, shape=(len(body), body.max(initial=0) + 1))
         B = csr_array(B[:, dofs])
@@ -120,10 +111,7 @@ class SurfaceCompliance:
     def _extend(
         self, compliance: ContactCompliance, dofs: Indices, is_new: Mask, on_body: csr_array
     ) -> None:
-        """Compute the columns of the new ones of the degrees of freedom (s,). Collective.
-
-        `on_body` (s, bodies) has a 1 for the body of each degree of freedom.
-        """
+        """Compute the columns of new `dofs` (s,), with a 1 in `on_body` (s, bodies). Collective."""
         B, mine, new = compliance.jump.matrix, self._mine(dofs), np.flatnonzero(is_new)
         # the load on a new degree of freedom is in the solve of its position among its body's
         members = csc_array(on_body[new])
@@ -425,7 +413,7 @@ class ContactCompliance(PetscOwner):
             limit = max(int(min(solves, size - 1)), self._products_before)
             rows = self.surfaces.rows(self, limit, most_rows)
         if rows is not None:
-            self._products_before = -self.products
+            self._products_before = -self.products  # those until now do not count
         elif size <= min(solves, most_rows):
             rows = self.columns(np.arange(*B.getOwnershipRange()), size, B)
         if rows is not None:
@@ -440,14 +428,11 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def surfaces(self) -> SurfaceCompliance | None:
-        """The compliance of the surfaces. Collective.
-
-        It is None with an iterative solver, in a mixed space, and if K couples bodies.
-        """
+        """S; None if K is solved iteratively, of a mixed space, or couples bodies. Collective."""
         if not self.exact or self.jump.system.component is not None:
             return None
-        surfaces = SurfaceCompliance(self.jump.system, self.solver.matrix)
-        return surfaces if surfaces.is_valid else None
+        surfaces = SurfaceCompliance(self.jump.system)
+        return None if couples_bodies(self.solver.matrix, surfaces.body) else surfaces
 
     @cached_property
     def floating(self) -> FloatingBodies | None:

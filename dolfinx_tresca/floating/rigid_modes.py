@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, splitmix64
-from dolfinx_tresca._base.bodies import Bodies
+from dolfinx_tresca._base.bodies import Bodies, couples_bodies
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product, sparse_matrix
 from dolfinx_tresca.errors import InputError
@@ -259,7 +259,7 @@ class FixingSprings:
         label = np.repeat(modes.bodies.label, modes.dim)
         moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
         number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
-        if modes.comm.allreduce((forces - forces * moves).count_nonzero() > 0, op=MPI.LOR):
+        if couples_bodies(K, label):
             moves, number_on_body = np.ones((n, k)), np.arange(k)
         force, answer = K.createVecLeft(), K.createVecRight()
         V = csr_array(modes.basis.shape)

@@ -93,8 +93,7 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: s
         if parameters:  # a `.geo` file that sets them, so that DefineConstant does not change them
             lines = [f"{name} = {float(value)!r};" for name, value in parameters.items()]
             quote = "'" if '"' in str(path.resolve()) else '"'  # Gmsh has no escape sequence
-            lines.append(f"Include {quote}{path.resolve()}{quote};\n")
-            opened.write_text("\n".join(lines))
+            opened.write_text("\n".join([*lines, f"Include {quote}{path.resolve()}{quote};\n"]))
         gmsh.logger.start()
         try:
             gmsh.open(str(opened))
