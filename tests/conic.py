@@ -20,15 +20,9 @@ def conic_minimum(
 ) -> Any:
     """Return Clarabel's solution, with the minimiser `x`, the cones' multipliers `z` and `status`.
 
-    It minimises x'P x / 2 + q'x with right - rows x in the product of the cones.
-
-    Args:
-        P: (n, n) symmetric, dense or sparse.
-        q: (n,) linear part.
-        rows: of each cone, (m, n), dense or sparse.
-        right: of each cone, (m,).
-        cones: in turn, such as `clarabel.NonnegativeConeT(m)`.
-        tolerance: of the gap and of feasibility.
+    It minimises x'P x / 2 + q'x with right - rows x in the product of the cones, such as
+    `clarabel.NonnegativeConeT(m)`, each with rows (m, n) and right (m,). P (n, n) and rows may be
+    sparse. The tolerance is that of the gap and of feasibility.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False

@@ -26,13 +26,7 @@ def block_over(
 ) -> tuple[Scene, fem.Constant]:
     """Return the scene of a block of length 1, and the motion of its top. Collective.
 
-    Args:
-        comm: of the mesh.
-        n: cells along and across the block.
-        height: of the block.
-        obstacle: below the block.
-        friction: between the two.
-        at: the motion of the top.
+    It has n cells along and across, an obstacle below it, and `at` is the motion of its top.
     """
     scene = block(
         comm,

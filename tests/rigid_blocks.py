@@ -35,14 +35,10 @@ class RigidBlocks:
 
     @classmethod
     def of_joints(cls, corners, on_floor, friction, distance, shorter=0.0):
-        """Find the joints of blocks.
+        """Find the joints of blocks with counter-clockwise corners (n, c, 2).
 
-        Args:
-            corners: (n, c, 2) of the blocks, counter-clockwise.
-            on_floor: (n,) whether the first side of a block stands on the floor.
-            friction: coefficient of friction.
-            distance: largest gap of sides that touch.
-            shorter: length by which joints are cut at both ends.
+        The first side of a block stands on the floor where `on_floor` (n,) is True. Sides touch up
+        to a distance; joints are `shorter` at both ends.
         """
         joints = [
             (one[0], one[1], np.array([0.0, -1.0]), k, -1)

@@ -55,6 +55,11 @@ def test_the_versions_for_a_bug_report():
     assert "float64 scalars" in rows["PETSc"]
 
 
+def test_every_public_name_exists():
+    for name in dolfinx_tresca.__all__:
+        assert getattr(dolfinx_tresca, name).__doc__, name
+
+
 def test_solve_takes_every_option_and_no_other():
     """Names, order and types are those of the fields of SolverOptions; None leaves one alone."""
     parameters = inspect.signature(ContactProblem.solve).parameters

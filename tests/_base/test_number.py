@@ -24,7 +24,9 @@ from dolfinx_tresca import (
     Tresca,
     refine,
 )
+from dolfinx_tresca._base.arguments import checked_integer
 from dolfinx_tresca._base.arrays import integer, real
+from dolfinx_tresca.stiffness.choice import SolverRequest
 from scenes.blocks import block
 
 REALS = [1, 1.0, Fraction(1), np.array(1.0), np.array(1)]
@@ -69,8 +71,12 @@ ARGUMENTS = {
 #: Name -> a call with a public argument that is an integer.
 WHOLE = {
     "iterations": lambda value: SolverOptions(max_iterations=value),
+    "steps": lambda value: NewtonOptions(max_iterations=value),
+    "halvings": lambda value: NewtonOptions(max_halvings=value),
+    "levels": lambda value: checked_integer("max_levels", value),
     "pair": NormalForce,
     "tag": lambda value: _pair(secondary=value, primary=RigidPlane((0, 0), (0, 1))),
+    "solves": lambda value: SolverRequest(expected_solves=value),
 }
 
 
@@ -90,3 +96,12 @@ def test_integer_arguments(name):
     for value in (True, np.True_, 1.5, "1"):
         with pytest.raises(InputError, match="found"):
             WHOLE[name](value)
+
+
+def test_options_store_python_numbers():
+    """Numpy numbers of lower precision would reduce the precision of later results."""
+    options = SolverOptions(rtol=np.float32(1e-6), max_iterations=np.int8(100))
+    assert (type(options.rtol), type(options.max_iterations)) == (float, int)
+    assert type(MeanPressure((0, 0), Fraction(1, 2)).radius) is float
+    assert type(NewtonOptions(np.float16(0.01)).accuracy) is float
+    assert SolverOptions().accuracy == "balanced" and SolverOptions().rho_sigma is None

@@ -104,14 +104,9 @@ def test_tetrahedra_on_two_meshes():
 def o_ring(comm, cells, kind, friction=None, sliding="small"):
     """Return the O-ring in its groove of the demo, and the displacement of the lid.
 
-    Args:
-        comm: of the mesh.
-        cells: along a quarter of the arc.
-        kind: "reduced" for the demo's form; "whole" for one without reduced integration, and
-            "points" for the same with pressures that are independent at its points; "Taylor-Hood",
-            or "incompressible" with Poisson's ratio 0.5.
-        friction: on the walls; none if not given.
-        sliding: of the pairs.
+    There are so many cells along a quarter of the arc. The kind is "reduced" for the demo's form;
+    "whole" for one without reduced integration, and "points" for the same with pressures that are
+    independent at its points; "Taylor-Hood", or "incompressible" with Poisson's ratio 0.5.
     """
     radius, mu, kappa = 2.65, 1.5, 75.0
     ring = read_gmsh(MESHES / "o_ring.geo", comm, R=radius, N=cells)

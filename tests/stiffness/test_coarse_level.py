@@ -124,11 +124,14 @@ def test_options_of_the_user_count(comm):
                 with solver_for(system, options, prefix) as solver:
                     assert str(solver) == f"multigrid ({kind})"
                     assert PETSc.Options().getAll() == before
-            default = iterations(system)
-            assert iterations(system, {"mg_levels_ksp_max_it": 3}) < default
-            assert default < iterations(system, {"mg_coarse_ksp_max_it": 1})
+            on_one, on_all = {"mg_coarse_mg_levels_ksp_max_it": 1}, {"mg_levels_ksp_max_it": 3}
+            one, some, all_levels = (
+                iterations(system, options) for options in ({}, on_all | on_one, on_all)
+            )
+            assert all_levels < some < one
+            assert one < iterations(system, {"mg_coarse_ksp_max_it": 1})
             # as a part of Gauss-Seidel's options these would make the preconditioner indefinite
             for level in ("", "mg_coarse_"):
-                assert iterations(system, {f"{level}mg_levels_pc_type": "jacobi"}) > default
+                assert iterations(system, {f"{level}mg_levels_pc_type": "jacobi"}) > one
     finally:
         del PETSc.Options("mine_")["pc_type"]

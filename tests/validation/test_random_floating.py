@@ -76,13 +76,11 @@ class Floating:
     """Two blocks, one on the other; the lower one is held or stands on a rigid floor.
 
     Attributes:
-        scene: mesh and forms.
         pairs: blocks, and the floor's.
         load: on the top and the lower block, `directions` times a factor.
         directions: unit vectors of the traction and of the body force, by their size.
         free: the tags of the blocks that nothing but contact holds.
         springs: stiffness per volume that holds the upper block, over a modulus of 1000.
-        turn: the rotation.
     """
 
     scene: Scene
