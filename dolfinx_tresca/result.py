@@ -106,8 +106,8 @@ class ContactSolution(Evaluation, Tabulated):
         cell_errors: estimated discretisation error of each cell in the energy norm
             [energy^(1/2)]; see `dual/accuracy.py`. None if an `rtol`, or a number as
             `accuracy`, was requested. Mixed spaces and matrices always need such a request.
-        discretisation_error: root of the sum of squared `cell_errors`, divided by |u|_K; None
-            without `cell_errors`.
+        discretisation_error: root of the sum of squared `cell_errors`, divided by |u|_K if that
+            is not zero; None without `cell_errors`.
         counts: numbers of nodes in each state.
         peak_pressure: largest pressure of all nodes [stress].
         greatest_slip: largest slip of a pressed node [length]; in a process, the slip in this step.

@@ -117,7 +117,7 @@ class ContactSystem(PetscOwner):
     def _factored(self) -> ContactCompliance:
         """Assemble and factor K, and return A. Collective."""
         solver, springs = self.stiffness.factored(self.timings)
-        with timed(self.stiffness.method, self.timings):  # a saddle point has a further matrix
+        with timed(self.stiffness.method, self.timings):  # for saddle points also that of the bound
             return ContactCompliance(self.jump, solver, springs)
 
     def destroy(self) -> None:
@@ -204,7 +204,7 @@ class ContactSystem(PetscOwner):
             self.obstacles.place(present_motions)
 
     def begin_solve(self) -> None:
-        """Pair where obstacles have moved, and go to where the next solve starts. Collective."""
+        """Pair as after the last accepted step, obstacles moved; go to `at_start`. Collective."""
         self.pair_where_changed(self._state.accepted.configuration)
         self.state = self.state.at_start(self.depends_on_start)
 
@@ -296,7 +296,7 @@ class ContactSystem(PetscOwner):
         return self._at_nodes(self._state.multipliers / self.jump.stress_scale, 0.0)
 
     def _at_nodes(self, values: Array, default: float) -> Array:
-        """Return the values (pairs, owned nodes) of normal rows, from those (size,) of B's rows."""
+        """Return values (pairs, owned nodes) of normal rows (on sharp edges one), from (size,)."""
         result = np.full((len(self.pairs), self.linear.V.dofmap.index_map.size_local), default)
         for of_pair, rows in zip(result, self.jump.own_rows, strict=True):
             of_pair[rows.operators.nodes[rows.operators.normal_node]] = values[rows.normal]

@@ -76,7 +76,7 @@ class JumpOperator(PetscOwner):
         discs: Lambda with infinite slip bounds. The tangential rows of a node share one disc. At
             nodes with friction along only one of two tangents, the frictionless row has a disc of
             its own; these discs come after the discs of all nodes.
-        work: a vector of unknowns, whose values the next call of any method may change.
+        work: a vector of unknowns, which methods of `ContactCompliance` may change.
     """
 
     def __init__(

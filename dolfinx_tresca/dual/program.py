@@ -164,10 +164,10 @@ class DualProgram:
         """Return r = A x - b, and an estimate of its error, sqrt(e'A^-1 e). Collective.
 
         A direct solver takes one product, unless x is zero; its error counts as 0. An iterative
-        solver for K starts from the displacement at the last multipliers, and solves to the
+        solver for K starts from `_guessed`, the last displacement, and solves to the
         requested `accuracy` only; if it does not reach it, the returned error is larger. A solve
         counts as a product if it takes any Krylov iteration. The error includes the rounding of r:
-        products are differences of gradients, which may be pure rounding for small steps.
+        A times a step is a difference of gradients, which may be pure rounding if it is small.
         """
         if self._solver.exact:
             presses = float(self.inner(x, x)) > 0.0
@@ -202,12 +202,12 @@ class DualProgram:
     def compute_displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
         """Set u to K^-1 (f - B'x), unless it is known accurately enough; return its error.
 
-        Collective. The error of u in the energy norm is at most `accuracy`, without effect on a
+        Collective. The requested error of u in the energy norm is `accuracy`, without effect on a
         direct solver; with None, the options of the solver determine it. The next solve starts from
-        the result. The displacement of the last gradient is returned unchanged if it is accurate
+        the result. `_guessed`, that of the last gradient, is returned unchanged if it is accurate
         enough: the convergence was checked with it, and a more accurate displacement may have a
-        larger bound of its error. (For a bound, gaps are closed by moving contact nodes alone,
-        which takes much energy if the difference of displacements is smooth and cells are flat.)
+        larger `energy_bound`, which closes gaps by moving contact nodes alone: this takes much
+        energy if the difference of displacements is smooth and cells are flat.
         """
         solved = self._solved
         if solved is not None and float(self.inner(x - solved[0], x - solved[0])) == 0.0:

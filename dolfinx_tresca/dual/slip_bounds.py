@@ -214,7 +214,7 @@ class SlipBounds:
         """Return the present bounds at nodes of this rank; 0 without friction. Collective.
 
         A negative value counts as zero if it is rounding: at most `COEFFICIENT_ROUNDING` times the
-        largest finite bound of the pair, or, of a stress, at most `stress_rounding` [stress].
+        largest finite value of this bound, or, of a stress, at most `stress_rounding` [stress].
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is

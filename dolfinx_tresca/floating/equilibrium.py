@@ -323,8 +323,8 @@ class FloatingBodies:
     ) -> EqualityConstraints:
         """Return the equations if contact forces can satisfy them, and else raise. Collective.
 
-        If they can up to rounding, `values` are changed such that they can exactly. If they cannot,
-        the `shift` grows along a rigid motion that the loads cause (`iteration.friction_deficit`).
+        It is asked with loads increased by `LOAD_RESERVE`. If forces can but for rounding, `values`
+        are changed such that they can exactly; else `Balance.shift` is a motion of the loads.
         """
         increased = replace(constraints, values=(1.0 + LOAD_RESERVE) * constraints.values)
         balanced = balance(increased, feasible_set)

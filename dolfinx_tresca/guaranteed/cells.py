@@ -200,7 +200,7 @@ def stress_products(d: int) -> Array:
 class StressEnergies:
     """Squared norms of the stresses of the element as quadratic functions of their loadings.
 
-    A squared norm is twice the complementary energy, and a loading must be in equilibrium.
+    A squared norm is twice the complementary energy; a loading out of equilibrium is projected.
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
@@ -229,7 +229,7 @@ class StressEnergies:
         return np.asarray((loading * self.derivative(loading)).sum(axis=(1, 2, 3)))
 
     def of_facets(self) -> Array:
-        """Return the matrices (n, d + 1, d * d, d * d) of tractions on each facet alone."""
+        """Return Q (n, d + 1, d * d, d * d): t'Q t is the squared norm for t on one facet."""
         n, d, _ = self._inverses.shape
         blocks = self._matrices.reshape(n, d + 1, (d + 1) * d, d + 1, (d + 1) * d)
         blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
@@ -254,7 +254,7 @@ class MeshCells(Simplices):
     """
 
     def __init__(self, V: Any) -> None:
-        """Sort the vertices of the cells of a space's mesh. Collective."""
+        """Number vertices and nodes of cells in an order that neighbours share. Collective."""
         mesh, topology = V.mesh, V.mesh.topology
         kind, degree = topology.cell_name(), geometry_degree(mesh)
         if kind not in ("triangle", "tetrahedron") or degree != 1:
@@ -278,12 +278,12 @@ class MeshCells(Simplices):
         between = np.diag(np.arange(d + 1))
         for edge, (i, j) in enumerate(basix.topology(mesh.basix_cell())[1], d + 1):
             between[i, j] = between[j, i] = edge
-        pairs = between[order[:, :, None], order[:, None]]
+        edges = between[order[:, :, None], order[:, None]]
         is_quadratic = V.element.basix_element.degree == 2
-        nodes = pairs if is_quadratic else np.broadcast_to(order[:, :, None], pairs.shape)
+        nodes = edges if is_quadratic else np.repeat(order[:, :, None], d + 1, axis=2)
         self.nodes = V.dofmap.list[cell[:, None], nodes]
         self.quadratics = fem.functionspace(mesh, ("DG", 2, (d,)))
-        self.dofs = self.quadratics.dofmap.list[cell, pairs[(slice(None), *np.triu_indices(d + 1))]]
+        self.dofs = self.quadratics.dofmap.list[cell, edges[(slice(None), *np.triu_indices(d + 1))]]
         self.facet_nodes = self.nodes[:, opposite(d)[:, :, None], opposite(d)[:, None]]
         # the orientation of a facet in the boundary of a cell, opposite for its two cells
         turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]

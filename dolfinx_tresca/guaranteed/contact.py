@@ -111,16 +111,16 @@ class ContactSurface:
     ) -> Array:
         """Return admissible tractions (nodes, d), and set `_bounds`, `_origins` and `_pressed`.
 
-        These are the slip bounds (nodes,), slips of the origin of friction (nodes, d) and whether
-        nodes (nodes,) are pressed. Nodes that lack a row of N or T, since a component is
-        prescribed, have means of their neighbours. Collective.
+        These are the slip bounds (nodes,), given (n,), slip origins (nodes, d), and whether nodes
+        (nodes,) are pressed. Nodes that lack a row of N or T, since a component is prescribed, have
+        means of complete neighbours, weighted by common facets. Collective.
         """
         V, pair, d = self._cells.V, rows.operators, self._cells.d
         stress = rows.nodal_vectors(multipliers * dual.jump.stress_scale)
         origin = rows.nodal_vectors((dual.offset - dual.jump.gap) * dual.jump.length_scale)
         components = 1 if isinstance(self._pair.friction, Frictionless) else d
         has_all = np.bincount(pair.row_node, minlength=len(pair.nodes)) == components
-        # for each node its pressure, bound, traction and origin, and 1 for the number of such rows
+        # for each node its pressure, bound, traction and origin, and a 1, to count nodes in sums
         columns = np.column_stack([stress[:, 0], bounds, -stress[:, 1:], origin[:, 1:], has_all])
         values = np.zeros((V.dofmap.index_map.size_local, columns.shape[1]))
         values[pair.nodes] = has_all[:, None] * columns

@@ -374,7 +374,7 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
     """Draw an obstacle near points (n, 3) of the bodies, and return whether any of it is there.
 
-    In 2D (`flat`) all of it is drawn, in 3D its surface; sides that are seen from within the
+    In 2D (`flat`) its inside is drawn, in 3D its surface; sides that are seen from within the
     obstacle are transparent, so that they do not hide the points.
     """
     import pyvista
@@ -399,7 +399,7 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
         below = inside.translate((0.0, 0.0, -0.01 * length))
         plotter.add_mesh(below, color=OBSTACLE_COLOUR, lighting=False)
         return True
-    # normals point to where distances grow
+    # triangles are wound such that their front is seen from within the obstacle
     sides = {"auto_orient_normals": False, "consistent_normals": False}
     surface = grid.contour([0.0]).compute_normals(cell_normals=False, **sides)
     light = {"color": OBSTACLE_COLOUR, "smooth_shading": True, "ambient": 0.4, "diffuse": 0.6}

@@ -63,9 +63,9 @@ class ProblemSummary:
 
     Attributes:
         dofs: degrees of freedom of the displacement, and `free_dofs` those that are not prescribed.
-        contact_nodes: m, nodes that carry multipliers.
+        contact_nodes: m, places of multipliers: on sharp edges one for each smooth patch.
         size_rows: the rows that do not belong to pairs.
-        pairs: for each pair, as text: its name, kind, number of nodes, range of the gap, and law.
+        pairs: for each pair its name, kind and number of nodes; range of the gap; and law.
     """
 
     dofs: int

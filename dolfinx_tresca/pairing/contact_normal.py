@@ -74,7 +74,7 @@ class SmoothSurface:
 
     Attributes:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
-            between its normal and those at its corners; next to a kink it is zero.
+            between its normal and those at its corners; next to a kink it falls to zero.
         is_flat: whether no facet of this rank has a height, and no normal turns.
         across: (n, k, 3) outward unit normals of the smooth patches behind the sharp edges at each
             facet (`_normals_across_edges`). At the ends of a curve (2D) the body is taken to go on
@@ -105,7 +105,7 @@ class SmoothSurface:
         self._mean_normals, kinked = self.corner_normals, kinked[:, None, None]
         self.corner_normals = (1.0 - kinked) * self._mean_normals
         self.corner_normals += kinked * self._facet_normals[:, None]
-        # where the geometry is known, its normals take the place of all others
+        # where the geometry is known, its normals take the place of `corner_normals`
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
             facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
@@ -218,10 +218,10 @@ class SmoothSurface:
         return offsets, normals
 
     def turns_along(self, facet: Indices, lean: Array, to_ends: bool = False) -> Array:
-        """Return the angles [rad] by which normals turn over facets (n,) along vectors (n, 3).
+        """Return the angles [rad] by which normals turn over facets (n,) along `lean` (n, 3).
 
-        With `to_ends` they are larger where normals are less accurate, so that the partner's
-        decide: those of the mean normals at kinks; up to a right angle where the surface ends.
+        With `to_ends` angles are larger where normals are less accurate, so that the partner's
+        decide: at kinks those of the fitted normals; up to a right angle where the surface ends.
         """
         normals = self._facet_normals[facet]
         along = lean - dots(lean, normals)[:, None] * normals

@@ -54,7 +54,7 @@ class ContactOperators:
     Attributes:
         nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
         weights: (n,) parts of the nodes' areas that face the primary side [length^2, in 2D length].
-        normals: (n, d) outward unit normals of the secondary side.
+        normals: (n, d) unit contact normals, out of the secondary side.
         gap: (rows of N,) initial gap of the undeformed bodies [length], positive if open.
         normal_node: (rows of N,) index in `nodes` of each row of N.
         tangents: (rows of T, d) unit vectors: each row of T is the jump along its vector.
@@ -190,20 +190,20 @@ class ContactOperators:
 
     @collective(comm_of_self, extra_values=_space)
     def conductance_matrix(self, h: fem.Function) -> PETSc.Mat:
-        """Return the matrix C of a flux h (T_s - T_p) [per area] through the contact. Collective.
+        """Return the matrix C of a flux h (q_s - q_p) [per area] through the contact. Collective.
 
-        Here T is not the jump operator, but a scalar field of degree 1, such as a temperature. T_s
-        and T_p are its means over both sides in N and T: inside the contact T_s are its values at
-        secondary nodes, T_p its `transfer` from the primary side; T_p = 0 for a rigid obstacle.
-        C T is the flow out of each node. C is symmetric and positive semidefinite; between two
-        bodies its rows sum to zero: the flow out of one side is the flow into the other side.
+        q is a scalar field of degree 1, such as a temperature; q_s and q_p are its means over both
+        sides, weighted as in N and T: inside the contact q_s are its values at secondary nodes, q_p
+        its `transfer` from the primary side; q_p = 0 for a rigid obstacle. C q is the flow out of
+        each node. C is symmetric, and positive semidefinite if h >= 0; between two bodies its rows
+        sum to zero: the flow out of one side is the flow into the other side.
 
-        The caller owns the matrix. Add it to the matrix of a form of T: `K + C`, or
-        `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if T is prescribed at contact
+        The caller owns the matrix. Add it to the matrix of a form of q: `K + C`, or
+        `K.axpy(1.0, C)`. C is not changed by Dirichlet conditions: if q is prescribed at contact
         nodes, assemble K without conditions and call `zeroRowsColumns` on the sum.
 
         Args:
-            h: the conductance [flux per area and jump of T], in the space of T, of which values at
+            h: the conductance [flux per area and jump of q], in the space of q, of which values at
                 secondary nodes count; they may depend on the pressure (`SurfaceFields.on_mesh`).
 
         Raises:

@@ -64,7 +64,7 @@ def corners_that_carry(
     Nodes beyond the rim of the overlap carry none: with the nodal force of a whole facet on the
     covered part of their area, their pressure would be far too large. Neighbours take over this
     part. If no corner of a covered facet is left, the corner with the largest covered part carries.
-    All ranks decide alike; `shared` (n,) are nodes that also belong to the primary side.
+    All ranks decide alike; `shared` (n,) nodes are on both sides or redundant.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     agreed = partial(owners_flags, V, nodes.numbers)
@@ -193,8 +193,8 @@ def couple(
     """Return N, T and the gap at the nodes of all pairs of a group. Collective.
 
     The jump at a node is the difference of the means over both sides, weighted with the node's
-    function of the dual basis. The gap is the mean distance along the contact normal of the exact
-    surfaces where they are known, else of the facets with the heights of fitted surfaces.
+    function of the dual basis. The gap, 0 where bonded, is the mean distance along the contact
+    normal of exact surfaces where they are known, else of facets with heights of fitted ones.
 
     `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
     and `shared` (n,) are as in `corners_that_carry`. If the surfaces are `displaced`, penetration
@@ -207,7 +207,7 @@ def couple(
         weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
         scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
         dual = dual_coefficients(integrals.hats, spread) * scale[nodes.facet_nodes][:, :, None]
-        within, across, means = _dual_means(nodes, primary, integrals, dual, index_map.size_global)
+        own, across, means = _dual_means(nodes, primary, integrals, dual, index_map.size_global)
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals; where
     # the mean with dual functions, negative in part, is far off, that with hat functions is taken
     vectors = nodes.reduced(np.add, spread @ integrals.means[:, :, 3:], 0.0)
@@ -235,21 +235,21 @@ def couple(
     shares: Array = np.zeros((len(nodes.numbers), len(group.pairs)))
     areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
     np.add.at(shares, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
-    # from here on, arrays have rows for the nodes with multipliers alone
+    # rows of the nodes with multipliers alone
     weights, shares = weights[position], shares[position]
     shares *= (weights / shares.sum(axis=1))[:, None]
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
-    smooth = np.array([isinstance(law, Frictionless) for law in laws])[owner]
+    frictionless = np.array([isinstance(law, Frictionless) for law in laws])[owner]
     normals, free, numbers = normals[position, :dim], nodes.free[position], nodes.numbers[position]
     prescribed = np.linalg.norm(normals * free, axis=1) <= FACING_COSINE
-    jump, across, friction_acts = (within - across)[position], across[position], free
+    jump, across, friction_acts = (own - across)[position], across[position], free
     if primary is not None:
         friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
     has_normal_row, room = _normals_and_room(numbers, across, normals, friction_acts, ~prescribed)
     along, tangent_node = _free_tangents(normals, room)
-    rubs = ~smooth[tangent_node]
+    rubs = ~frictionless[tangent_node]
     extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
     distance = np.where(bonded | (np.abs(gap[position]) <= ROUNDING * extent), 0.0, gap[position])
     return PairOperators(

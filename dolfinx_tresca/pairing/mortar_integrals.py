@@ -162,7 +162,7 @@ class MortarIntegrals(FacetIntegrals):
     layer count that no body hides.
 
     Attributes:
-        opposite: (q, 2) pairs of facets of a surface that touches itself whose roles are exchanged:
+        exchanged: (q, 2) facet pairs of a surface that touches itself, whose roles are exchanged:
             the first facet, which was searched from, is primary, and the second one is secondary.
     """
 
@@ -220,7 +220,7 @@ class MortarIntegrals(FacetIntegrals):
         missing = self._covered < (1.0 - MISMATCH) * self._area
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         arrays = zip(*self._overlaps, strict=True)
-        self.pairs, self.partner, self.opposite = map(np.concatenate, arrays)
+        self.pairs, self.partner, self.exchanged = map(np.concatenate, arrays)
         # the integrals outlive what they were computed with, a third of the memory
         del self._overlaps, self._pieces, self._partners, self._visibility
         del self._surface, self._partner_surface

@@ -41,9 +41,9 @@ class PairOperators:
         shares: (n, pairs) part of the covered area that belongs to each pair of the group.
         areas: (n,) whole area of each node, covered or not [length^2, in 2D length].
         places: (n, d) points where the nodal forces act on the secondary side [length].
-        normals: (n, d) outward unit normals of the secondary side.
+        normals: (n, d) unit contact normals, out of the secondary side.
         distance: (n,) initial distance of the surfaces along the normal [length], positive if open,
-            and zero within rounding.
+            and zero within rounding, or where surfaces are bonded.
         added_gap: (n,) present value of `ContactPair.gap` at each node [length].
         secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
             which reduces the gap [length]; zero for degree 1.
@@ -137,7 +137,7 @@ class PairOperators:
 
 
 def joined(operators: Sequence[PairOperators]) -> PairOperators:
-    """Return the operators at the nodes of several operators of one group, in their order."""
+    """Return as one the operators of pairs of one group, with their nodes in order."""
     changes: dict[str, Any] = {}
     for name in (*NODE_ARRAYS, *TANGENTIAL_ARRAYS):
         arrays = [getattr(pair, name) for pair in operators]

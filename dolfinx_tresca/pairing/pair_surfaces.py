@@ -134,7 +134,7 @@ def _overlap_integrals(
         integrals = MortarIntegrals(nodes, primary_nodes, selected, limit, may_meet, order)
         shared = np.isin(nodes.numbers, primary.nodes)
         if order is not None:
-            shared = redundant_nodes(nodes, integrals.pairs, integrals.opposite)
+            shared = redundant_nodes(nodes, integrals.pairs, integrals.exchanged)
     if order is not None:
         shared = owners_flags(V, nodes.numbers, shared)
     return nodes, primary, integrals, shared

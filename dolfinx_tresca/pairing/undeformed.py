@@ -289,7 +289,7 @@ def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indice
         origins=np.zeros((len(facets), 0)),
         tag_index=tag_index,
         bent=False,
-    ).moved_to(points)
+    ).moved_to(points)  # sets `bent`
     # the outward side of a facet is the one away from the middle of its cell
     middle = x[cell_nodes[:, : vertex_count(V)]].mean(axis=1)
     ahead = points[:, :corners].mean(axis=1) - middle

@@ -338,19 +338,19 @@ def facet_origins(V: Any, facets: Facets) -> Array:
     return np.column_stack([body, size[body], centre, facets.mean_normals, radius])
 
 
-def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> Mask:
+def redundant_nodes(nodes: SurfaceNodes, paired: Indices, exchanged: Indices) -> Mask:
     """Return a mask (n,) of the nodes whose jump another node of the surface already constrains.
 
     Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
     secondary on one facet and primary on the next. Both would have the same jump: the node that
     comes first in the mesh file has the multiplier, and the second one is redundant. So is a node
     that is opposite to itself, such as the tip of a crack, which has no jump. Valid for nodes with
-    all facets on this rank; `paired` and `opposite` are `MortarIntegrals.pairs` and `.opposite`.
+    all facets on this rank; `paired` and `exchanged` are `MortarIntegrals.pairs` and `.exchanged`.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
     def rows(pairs: Indices) -> Indices:
-        """Return the rows (node, number in the file, number of an opposite node), each once."""
+        """Return the rows (node, its number in the file, that of a corner of its partner)."""
         own, theirs = pairs.T
         corners, numbers = nodes.facet_nodes[own], in_file[own]
         repeated = (np.repeat(columns, count, axis=1) for columns in (corners, numbers))
@@ -358,7 +358,7 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, opposite: Indices) -> 
         return np.unique(result.reshape(-1, 3), axis=0)
 
     # rows that occur twice are of nodes that are secondary on one facet and primary on another
-    together = np.concatenate([rows(paired), rows(opposite)])
+    together = np.concatenate([rows(paired), rows(exchanged)])
     seen, times = np.unique(together, axis=0, return_counts=True)
     own, theirs = seen[:, 1], seen[:, 2]
     second = seen[(own == theirs) | (times > 1) & (own > theirs), 0]

@@ -404,7 +404,7 @@ class TangentProblem(ContactSystem):
         return self.norm_of_correction(self.tangent.residual(self.contact_forces()))
 
     def norm_of_correction(self, forces: Array) -> float:
-        """Return |F|_{K^-1} for forces F [force] at owned unknowns; NaN: not finite. Collective."""
+        """Return |K^-1 F|_K for forces F [force] at owned unknowns; NaN: not finite. Collective."""
         force = self.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):
@@ -423,13 +423,13 @@ class TangentProblem(ContactSystem):
         return bool(self.comm.bcast(not error <= limit))
 
     def rounding_norm(self) -> float:
-        """Return the size of rounding errors of R(u_k) in the norm |F|_{K^-1}. Collective.
+        """Return the size of rounding errors of R(u_k), in `norm_of_correction`. Collective.
 
         It is `ROUNDING` sqrt(n u_k'D u_k + |X|_K^2), with the diagonal D of K in rows of
-        displacements, the mean number n of entries in a row, and the position X. A force is the sum
+        displacements, the mean number n of entries in a row, and X, `_position`. A force is the sum
         of n terms of the size D_i |u_i|, whose rounding adds up to sqrt(n) times that of one; as
-        (K^-1)_ii >= 1 / D_i, the norm is at least the first term. Stresses that depend on the
-        gradient of X + u_k are rounded as if X, whose gradient is 1, were a displacement.
+        (K^-1)_ii >= 1 / D_i, the mean square norm is at least the first term. Stresses that depend
+        on the gradient of X + u_k are rounded as if X, whose gradient is 1, were a displacement.
         """
         K, moves = self.tangent.K, self.tangent.moves
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
@@ -446,7 +446,7 @@ class TangentProblem(ContactSystem):
         return with_owned_values(V, (x - middle)[: nodes.size_local])
 
     def unbalanced_forces(self) -> fem.Function:
-        """Return R(u_k) + B'lambda - h [force] at the nodes of the displacement. Collective."""
+        """Return R(u_k) + B'lambda - h [force] at nodes, NaN without stresses. Collective."""
         try:
             residual = self.tangent.residual(self.contact_forces())
         except StiffnessError:  # the user's function has no stresses here

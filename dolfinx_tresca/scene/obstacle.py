@@ -205,21 +205,21 @@ class RigidObstacle:
         # edges that are taken for artefacts; sharp ones are boundaries of `smoothed`
         bends = smoothed.extract_feature_edges(0.1, boundary_edges=False, non_manifold_edges=False)
 
-        def distance(x: Array, width: float = np.inf) -> tuple[Array, Array]:
+        def distance(x: Array, facet_size: float = np.inf) -> tuple[Array, Array]:
             points = pyvista.PolyData(np.array(x.T))
             signed = points.compute_implicit_distance(surface)["implicit_distance"]
             cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
             weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
-            if bends.n_cells and width < np.inf:
+            if bends.n_cells and facet_size < np.inf:  # flat normals farther than it from edges
                 _, nearest = bends.find_closest_cell(places, return_closest_point=True)
-                away = np.linalg.norm(places - nearest, axis=1) / width
+                away = np.linalg.norm(places - nearest, axis=1) / facet_size
                 normal += np.clip(2.0 * away - 1.0, 0.0, 1.0)[:, None] * (flat[cells] - normal)
             return signed, unit(normal).T
 
         obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
-        obstacle._turning = lambda size: partial(distance, width=size)
+        obstacle._turning = lambda size: partial(distance, facet_size=size)
         obstacle.centre = np.array(surface.center)
         return obstacle
 
@@ -256,7 +256,7 @@ class RigidObstacle:
             translation: vector of 2 or 3 components [length].
             rotation: angle about the z axis [rad], or a vector (3,), the axis times the angle.
             about: a point on the axis, at the original place [length]; by default the centre of a
-                sphere, the given point of a plane or a cylinder, else the origin.
+                sphere or of a file, the given point of a plane or a cylinder, else the origin.
 
         Raises:
             InputError: an argument is not a vector of finite numbers.

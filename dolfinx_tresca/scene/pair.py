@@ -47,7 +47,7 @@ class ContactPair:
     has one of the tags. Among several layers of facets the nearest one is paired. Gaps and
     pressures are along the contact normal: of two sides the one whose normal turns less from facet
     to facet decides (docs/theory/pairing.md). If both sides of a sharp edge
-    (`surface.nodes.EDGE_ANGLE`, 55 degrees) are in contact, as in a groove, a node on the edge has
+    (`pairing.facets.EDGE_ANGLE`, 55 degrees) are in contact, as in a groove, a node on the edge has
     one pressure for each side, and friction acts along the edge only.
 
     Attributes:

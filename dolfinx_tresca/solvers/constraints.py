@@ -28,7 +28,7 @@ class InnerProduct(Protocol):
 
 
 class Reductions(InnerProduct, Protocol):
-    """Sums over all ranks, and values on which all ranks agree. All methods are collective."""
+    """Sums, values and rows of all ranks, on which they agree. All methods are collective."""
 
     def total(self, x: Array) -> Array:
         """Return the sum over all ranks of x, entry by entry; x has the same shape on all."""
@@ -57,7 +57,7 @@ class EqualityConstraints:
 
     Equations with S = 0 are exact, and c are their Lagrange multipliers. Equations with S > 0 are
     soft: the term (e - G'x)'S^-1 (e - G'x) / 2 is added to q, and c = S^-1 (e - G'x). In both
-    cases, the gradient in x is A x - b - G c. With k = 0, no method communicates.
+    cases, the gradient in x is A x - b - G c. With k = 0, `along` does not communicate.
 
     The equations express the equilibrium of floating bodies (`floating/equilibrium.py`); this
     module does not depend on that meaning. Methods are collective.

@@ -35,7 +35,7 @@ class Compliance(Protocol):
         """Return A x (size,). Collective."""
 
     def known_products(self) -> KnownProducts:
-        """Return the store of known products; the first call may compute some. Collective."""
+        """Return what is known of A; the first call may compute some. Collective."""
 
     def complete_products(self) -> bool:
         """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
@@ -48,7 +48,7 @@ class DualProblem(InnerProduct, Protocol):
     an x that minimises q over its own Lambda.
 
     In all methods, and in all functions of this room, x (size,) are multipliers, c (k,) are those
-    of the constraints, and r (size,) is the gradient A x - b - G c at x; a `Point` has all three.
+    of the constraints, and r (size,) is the gradient A x - b at x, or of a `Point` A x - b - G c.
     The error e of a gradient is given in the norm sqrt(e'A^-1 e), which is the energy norm of the
     error of the displacement.
 

@@ -119,7 +119,7 @@ class BodyFrames:
         )
 
     def check_kept(self, at_rest: BodyFrames | None) -> None:
-        """Check that all bodies that have turned have a frame with a new K, too."""
+        """Check that the frames `at_rest` with a new K are of the same bodies."""
         if at_rest is None or (at_rest.has_frame != self.has_frame).any():
             raise StiffnessError(
                 "bodies have turned in their frames, and the new K resists the rigid motions of "
