@@ -340,7 +340,7 @@ class ContactCompliance(PetscOwner):
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.
 
-        Only the solver is kept, even if its factorisation has failed; the rest is destroyed.
+        The solver is kept, also if it was destroyed since K could not be factored; the rest is not.
         """
         self._destroy_but_solver()
         result = ContactCompliance(jump, self.solver, self.springs)
