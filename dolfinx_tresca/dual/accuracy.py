@@ -55,7 +55,7 @@ class Lift:
         (self._w, self._jump), (self._Kw, self._y) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jumps: Array) -> float:
-        """Return |w|_K [energy^(1/2)] for jumps (size,); inf if no w has this jump. Collective."""
+        """Return |w|_K [energy^(1/2)] for `jumps` (size,); inf if no w has them. Collective."""
         if self._solver is None:
             return np.inf
         self._jump.array = jumps

@@ -131,7 +131,7 @@ class Carry:
     def _carried(self, values: Array) -> Array:
         """Return tractions [stress] or jumps [length], (size,), in the rows of the new B."""
         pairs = zip(self._before.nodal_vectors(values), self._positions, strict=True)
-        # `_position` gives nodes that the old B has not the index of a row of zeros after its rows
+        # for nodes that are new, `_position` is the index of the row of zeros that is appended here
         padded = [np.pad(vectors, ((0, 1), (0, 0)))[position] for vectors, position in pairs]
         return self._after.components(padded)
 

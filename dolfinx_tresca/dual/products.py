@@ -37,7 +37,7 @@ from dolfinx_tresca.solvers.problem import KnownProducts
 from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver, cholesky
 
-#: Number of solves with K in one block.
+#: Number of right-hand sides for which `ContactCompliance.columns` solves with K together.
 BLOCK = 32
 
 #: Largest number of rows of a dense matrix A with a direct solver for K, and with an iterative
@@ -242,7 +242,7 @@ class NearField(PetscOwner):
                 owned.destroy()
 
     def apply(self, x: Array) -> Array:
-        """Return D x, (size,). Collective."""
+        """Return D x (size,), an approximation of A x without a solve with K. Collective."""
         # the first local solve
         force = self._jump.contact_force(x)
         self._local_f.array = force.array[self._dofs]
@@ -290,7 +290,7 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
 
 
 #: With a direct solver, A is computed before the first iteration if it is sparse or has at most
-#: `MOST_AT_ONCE` rows, and if this takes at most `FEW` solves; if K has less than `CHEAP` unknowns,
+#: `MOST_AT_ONCE` rows, and if this takes at most `FEW` solves; if K has under `CHEAP` unknowns,
 #: as in the plane, in proportion more, up to `MOST_AT_ONCE`. (Without A, two strips in the plane
 #: with 802 rows, continued from a file, take six times the time; without the limit, a layer of 400
 #: cells that touches with all of its 441 lower nodes takes four.)
@@ -332,7 +332,7 @@ class ContactCompliance(PetscOwner):
         self.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
-        # without references to them, their matrices and vectors are freed on several ranks as well
+        # what only these objects own is freed with them, on several ranks by `free_unused`
         vars(self).pop("error_bound", None)
         if (near := vars(self).pop("near_field", None)) is not None:
             near.destroy()
@@ -340,7 +340,7 @@ class ContactCompliance(PetscOwner):
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.
 
-        The solver is kept, also if it was destroyed since K could not be factored; the rest is not.
+        The solver is kept, even if K could not be factored and it is destroyed; all else is freed.
         """
         self._destroy_but_solver()
         result = ContactCompliance(jump, self.solver, self.springs)

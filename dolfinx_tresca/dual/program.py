@@ -223,7 +223,7 @@ class DualProgram:
         return self._solver.error(self.jump.net_force(x), u)
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for u = K^-1 (f - B'x), without a solve. Collective.
+        """Return |u|_K = sqrt(a(u, u)) for u = K^-1 (f - B'x), from energies. Collective.
 
         The gradient r is A x - b, without G c, and u is without rigid displacements. The result is
         0 if the `error` of u hides |u|_K^2. The first call may need a solve (`_load_terms`).

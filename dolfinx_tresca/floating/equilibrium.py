@@ -42,7 +42,7 @@ from dolfinx_tresca.solvers.problem import FrictionDeficit
 #: friction the rigid displacement would not be determined.
 LOAD_RESERVE = 1e-6
 
-#: Contact does not resist a rigid body mode if the mode's squared jump, in rows that Lambda lets act,
+#: Contact does not resist a rigid body mode if its squared jump, in the rows that Lambda lets act,
 #: is at most this fraction of the largest squared jump of the body's modes.
 UNRESISTED_SQUARE = 1e-6
 
