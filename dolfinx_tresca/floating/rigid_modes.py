@@ -34,7 +34,7 @@ class RigidBodyModes:
         stiffness: (k,) approximate stiffness of the mode's body, not against the mode, but against
             deformations of length 1 in the degrees of freedom.
         floats: (k,) True: K does not resist the mode at all; False: soft springs resist it.
-        body: (k,) the body of each mode, ascending.
+        body: (k,) the body of each mode, ascending; if K couples bodies, one of these.
         mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`:
             translations, and rotations with lever arms divided by the body's size; sparse.
     """
@@ -151,9 +151,9 @@ def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices
     (m, m) is R'R on free degrees of freedom, and `energy` (m, m) is R'K R.
 
     Returns:
-        the body (k,) of each motion, ascending; the stiffness (k,) against it; and the components
-        (m, k) of the motions in the modes. Motions that move no free degree of freedom are left
-        out; the other motions are orthonormal on free degrees of freedom.
+        the body (k,) of each motion, ascending (if K couples bodies, one of these); the stiffness
+        (k,) against it; and the components (m, k) of the motions in the modes, orthonormal on free
+        degrees of freedom. Motions that move no free degree of freedom are left out.
     """
     # motions that are orthonormal on free degrees of freedom; (bodies, 3 or 6) squared lengths
     values, vectors = eigenpairs(gram)
