@@ -3,8 +3,8 @@
 Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory. The jump operator B takes
 displacements to jumps at contact nodes; A = B K^-1 B' takes tractions to jumps. This room makes B,
 A, b and Lambda from pairs, K, load and laws, and bounds errors; the room `solvers` finds the
-minimum. Rows of B are scaled by the roots of the nodes' areas, so that sums of products of
-multipliers are integrals; physical values are *stresses* and *lengths*.
+minimum. Rows of B have the roots of nodal areas as factors: inner products of multipliers are then
+integrals. `stress_scale` and `length_scale` of B convert rows to stresses and lengths.
 
 - `JumpOperator`: B with its scales, gaps and rows of each pair; `displaced_jump` pairs displaced
   surfaces anew, and `Carry` takes multipliers from one B to the next.
@@ -13,7 +13,7 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 - `friction_discs` stretches the rows of B such that friction ellipses are discs; `NodalValues`
   evaluates any field of the user at nodes.
 - `ContactCompliance`: A for one B and one K, with products, near field, bound, error estimate.
-- `SurfaceCompliance`: S, the part of K^-1 with A = B S B', which pairings with one K share.
+- `SurfaceCompliance`: S, the exact part of K^-1 with A = B S B'; pairings with one K share it.
 - `SlipHistory`: slip and dissipation of the accepted load steps.
 - `EnergyBound`: a bound of the iteration's error; `DiscretisationError` estimates the mesh's.
 - `DualProgram`: all of these together for one load, the input of `solvers`: b, and the displacement
@@ -28,7 +28,7 @@ multipliers are integrals; physical values are *stresses* and *lengths*.
 | r | `DualSolution.gradient` | (d; s) - B u = A x - b - G c: open gap, and minus the slip |
 | Lambda, g | `DualProgram.section_at`, its `radius` | feasible set, slip bounds at a point |
 | G, c | `EqualityConstraints.columns`, `c` | equilibrium of floating bodies, its multipliers |
-| D, S | `NearField`, D also diag(K)^-1 in `Lift` | approximations of A, K^-1 near the contact |
+| D, S | `NearField`; other D in `Lift`, exact S in `SurfaceCompliance` | about A, K^-1 nearby |
 
 One solve, from the user's call to the table, with linear bodies. Once for all solves,
 `ContactProblem(...)` makes the `LinearSystem`, pairs the surfaces (`pair_all_surfaces`) and makes B
@@ -63,9 +63,9 @@ factors K with springs that hold them; A follows.
    asked for (missed: STAGNATED), and `ContactSystem.solve`, which called `evaluate`, returns a
    `ContactSolution`, whose status `ContactSystem.checked` changes if it has left linear theory.
 
-For bounds that depend on the pressure, bounds of errors are those of Tresca's problem with these
-bounds. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 7 without
-`checked`, from the multipliers before; each new K or B has a new A, without products. `accept`
+If slip bounds depend on the pressure, errors are bounded as in Tresca's problem with the slip
+bounds at x. Newton's method for nonlinear bodies and finite sliding repeat steps 2 to 7 without
+`checked`, from the last multipliers; of the new A of a new K or B, no product is known. `accept`
 (room `problem`) makes the tractions, slips and places of obstacles of a solution those from which
 the next load step begins (`StepState.after_solution`).
 

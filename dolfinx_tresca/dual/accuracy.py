@@ -1,7 +1,7 @@
 """Accuracy of a displacement: a bound of the iteration's error, an estimate of the mesh's.
 
-- `EnergyBound`: no further solve with K; gaps are closed by a `Lift`.
-- `DiscretisationError`: an estimate of each cell, by gradient recovery.
+- `EnergyBound`: the bound, without a solve with K; a `Lift` closes the gaps.
+- `DiscretisationError`: the estimate, of each cell, by gradient recovery.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver, cholesky
 class Lift:
     """The displacement w of least D^-1 norm with B w = jump: w = D B' (B D B')^-1 jump.
 
-    Here D is diag(K)^-1. `EnergyBound` closes gaps with w. The matrix B D B' is sparse, with a row
-    for each row of B. It is factored by all ranks together; the analysis of MUMPS stores the
-    pattern of all rows on one rank, 1 to 2 kB a row.
+    Here D is diag(K)^-1, zero at prescribed degrees of freedom. `EnergyBound` closes gaps with w,
+    which moves contact nodes alone. The matrix B D B' (size, size) is sparse. It is factored by all
+    ranks together; the analysis of MUMPS stores its pattern on one rank, 1 to 2 kB a row.
     """
 
     _solver: StiffnessSolver | None
@@ -55,7 +55,7 @@ class Lift:
         (self._w, self._jump), (self._Kw, self._y) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jumps: Array) -> float:
-        """Return |w|_K [energy^(1/2)] for jumps (size,); infinite if no w has them. Collective."""
+        """Return |w|_K [energy^(1/2)] for `jumps` (size,); inf if no w has them. Collective."""
         if self._solver is None:
             return np.inf
         self._jump.array = jumps
@@ -79,7 +79,7 @@ class Lift:
 def _factored_unless_singular(
     matrix: PETSc.Mat, negative_pivots: int | None = 0
 ) -> StiffnessSolver | None:
-    """Return `cholesky` of a symmetric matrix; None if rows are dependent. Collective."""
+    """Return `cholesky` of a symmetric matrix; None if it fails, as if singular. Collective."""
     matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     try:
         return cholesky(matrix, {}, None, negative_pivots)
@@ -96,7 +96,7 @@ class SaddleLift(Lift):
     """
 
     def __init__(self, jump: JumpOperator) -> None:
-        """Factor (K, B'; B, 0). Collective.
+        """Factor the matrix (K, B'; B, 0). Collective.
 
         If rows of B are linearly dependent, `energy_norm` returns inf for any jump.
 
@@ -104,7 +104,7 @@ class SaddleLift(Lift):
             StiffnessError: rows of B are linearly independent of each other, but not of the rows of
                 incompressibility in K: the contact closes in a body that cannot change its volume.
         """
-        # B without the columns of prescribed unknowns
+        # B, with zeros in the columns of prescribed unknowns and pressures
         system = jump.system
         K = system.K
         free, zero = jump.matrix.createVecs()
@@ -144,8 +144,8 @@ class SaddleLift(Lift):
 class EnergyBound:
     """Bounds |u - u*|_K for u = K^-1 (f - B'lambda), lambda in Lambda (docs/theory/accuracy.md).
 
-    Here u* is the exact solution of the discrete problem. By weak duality, the primal energy J, the
-    dual energy D, and any displacement v without penetration satisfy
+    This is the error of the iteration: u* is the exact solution of the discrete problem. By weak
+    duality, the primal energy J, the dual energy D, and any v without penetration satisfy
 
         1/2 |u - u*|_K^2 + 1/2 |v - u*|_K^2 <= J(v) - D(lambda)
             = lambda_nu'(d - N v) + sum of (g |T v| - lambda_tau.T v) + 1/2 |v - u|_K^2.
@@ -161,7 +161,7 @@ class EnergyBound:
     def __init__(self, jump: JumpOperator, nodal_stiffness: Array) -> None:
         """Prepare the lifts w. Collective.
 
-        The `nodal_stiffness` (size,), with fixed neighbours, is the same within a friction disc.
+        The `nodal_stiffness` (size,) is that of `ContactCompliance`, one value in a friction disc.
         """
         self._nodal_stiffness = nodal_stiffness
         system = jump.system
@@ -175,9 +175,9 @@ class EnergyBound:
     def energy_bound(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
         """Return a bound of the error in the energy norm [energy^(1/2)]. Collective.
 
-        The gradient r (size,) is that of the computed displacement u, d - N u and -T u. The error
-        of u is at most `error` in the norm |u - K^-1 (f - B'x)|_K. The bound is infinite if there
-        is none, or if rows of B are linearly dependent.
+        The multipliers x (size,) in the set belong to a computed u with |u - K^-1 (f - B'x)|_K at
+        most `error`, and with the gradient r (size,): d - N u and s - T u. The bound is infinite if
+        there is no lift: for tangents of mixed spaces, or if rows of B are linearly dependent.
         """
         if self._lift is None:
             return np.inf
@@ -197,13 +197,13 @@ class EnergyBound:
 #: Number of cells whose gradients are evaluated together; it limits the memory.
 CELLS_AT_ONCE = 50_000
 
-#: Least ratio of the stiffnesses of different materials, and the largest number of materials. Each
-#: material has a recovery of its own, which costs as much as the recovery for a single material.
+#: Least ratio of stiffnesses that counts as a change of material, and largest number of materials.
+#: Each material has a recovery of its own, which costs as much as that for a single material.
 MATERIAL_CONTRAST, MOST_MATERIALS = 1.5, 8
 
 #: Approximate ratio of the error to the difference between the gradient and its mean at the nodes,
-#: both in the energy norm, for degrees 1 and 2, by whether cells are simplices: the middle of the
-#: ranges that were measured (benchmarks/README.md, "Measured once").
+#: both in the energy norm: whether cells are simplices -> ratios for degrees 1 and 2. Each is the
+#: middle of the range that was measured (benchmarks/README.md, "Measured once").
 RECOVERY_FACTOR = {True: (1.15, 1.8), False: (1.0, 1.5)}
 
 
@@ -263,7 +263,7 @@ class DiscretisationError:
         )
 
     def cell_errors(self, u: fem.Function) -> fem.Function:
-        """Return the estimate of each cell [energy^(1/2)], a function of degree 0. Collective."""
+        """Return the error of u in each cell [energy^(1/2)], a function of degree 0. Collective."""
         squares = self._squares(u.x.array)
         result = zero_like(self._errors, "cell_errors")
         result.x.array[: len(squares)] = np.sqrt(np.maximum(squares, 0.0))
@@ -273,8 +273,8 @@ class DiscretisationError:
     def products(self, u: fem.Function, z: fem.Function) -> Array:
         """Return estimates (cells,) of a(e_u, e_z) [energy] in this rank's cells. Collective.
 
-        Here e_u and e_z are the errors of the displacements u and z. The values may be negative:
-        a(e_u, e_z) is a quarter of the difference of the squared estimates for scaled u + z, u - z.
+        Here e_u and e_z are the errors of a displacement u and of a goal's adjoint z. Values may be
+        negative: a quarter of the difference of the squared estimates for scaled u + z and u - z.
         """
         values = u.x.array, z.x.array
         scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
@@ -285,7 +285,7 @@ class DiscretisationError:
         return np.asarray(0.25 * scale[0] * scale[1] * difference)
 
     def _squares(self, u: Array) -> Array:
-        """Return the squared estimates (cells,) [energy], kept for the last u. Collective."""
+        """Return squared estimates (cells,) [energy] for nodal values u; cached. Collective."""
         same = self._last is not None and np.array_equal(u, self._last[0])
         if self._last is not None and self._cells.mesh.comm.allreduce(same, op=MPI.LAND):
             return self._last[1]
@@ -293,14 +293,14 @@ class DiscretisationError:
         volumes = self._assembled(self._volume)
         squares = np.zeros_like(volumes)
         for material in range(self._count):
-            mine = np.flatnonzero(self._materials == material).astype(np.int32)
-            self._recover(mine, volumes)
-            squares[mine] = self._assembled(self._square)[mine]
+            cells = np.flatnonzero(self._materials == material).astype(np.int32)
+            self._recover(cells, volumes)
+            squares[cells] = self._assembled(self._square)[cells]
         self._last = u.copy(), np.asarray(self._factor**2 * squares)
         return self._last[1]
 
     def _classify_materials(self, energy: fem.Form, volume: fem.Form) -> tuple[Indices, int]:
-        """Return the material (cells,) of each of this rank's cells, and the number of materials.
+        """Return the material (cells,) of each of this rank's cells, and how many there are.
 
         Collective. A material is a group of cells whose stiffnesses have no large gap between them:
         a stiffness that varies gradually makes one group. The form `energy` gives each cell's
@@ -315,17 +315,17 @@ class DiscretisationError:
         widest = widest[gaps[widest] > np.log(MATERIAL_CONTRAST)]
         return np.digitize(logarithms, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
 
-    def _recover(self, owned: LocalNumbers, volumes: Array) -> None:
+    def _recover(self, of_material: LocalNumbers, volumes: Array) -> None:
         """Set `_gradient` at nodes: the mean over adjacent cells, weighted by volume. Collective.
 
-        Only the `owned` cells (n,) count, which have one material. Volumes are those of all cells.
+        Only the cells `of_material` (n,) count; the volumes are those of all cells of this rank.
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
         sums.array[:] = 0.0
         tensors = sums.array.reshape(-1, dofmap.index_map_bs)  # shares the memory
-        for start in range(0, len(owned), CELLS_AT_ONCE):
-            cells = owned[start : start + CELLS_AT_ONCE]
+        for start in range(0, len(of_material), CELLS_AT_ONCE):
+            cells = of_material[start : start + CELLS_AT_ONCE]
             nodes = dofmap.list[cells]
             sampled = self._expression.eval(mesh, cells)
             values = self._at_nodes @ sampled.reshape(len(cells), self._at_nodes.shape[1], -1)
@@ -349,14 +349,14 @@ class DiscretisationError:
 
 
 def total(cells: fem.Function) -> float:
-    """Return the error of all cells together [energy^(1/2)], the root of squares. Collective."""
+    """Return the error of the mesh [energy^(1/2)]: the root of the sum of squares. Collective."""
     space = cells.function_space
     squares = np.square(cells.x.array[: space.dofmap.index_map.size_local])
     return float(np.sqrt(reduce_array(space.mesh.comm, squares.sum())))
 
 
 def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
-    """Return the cell integrals of a(u, u), with grad u replaced by a tensor, times a weight."""
+    """Return cell integrals of a(u, u) times a weight, with a tensor in place of grad u."""
     a = apply_derivatives(apply_algebra_lowering(a))
     zero = ufl.zero(gradient.ufl_shape[:1])  # drops terms that depend on values, such as springs
     for argument in a.arguments():

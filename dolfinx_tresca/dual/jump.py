@@ -28,14 +28,15 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 @dataclasses.dataclass(frozen=True)
 class RowsOfPair:
-    """Nodes and rows of B: of the multipliers that a pair owns, or of all that act on the pair.
+    """Nodes and rows of B of a pair, in `JumpOperator.own_rows` or `JumpOperator.by_pair`.
 
-    Pairs of a group (`PairGroup`) share multipliers: at an edge that pairs have in common, and on
-    pairs of the same nodes, one pair owns the multipliers, and they act on the others, too.
+    Pairs of a group (`PairGroup`) share nodes: at a common edge, or if they have the same nodes.
+    One pair owns the multipliers of such a node, but they act on all. `own_rows` has the nodes that
+    the pair owns; `by_pair` has all nodes whose multipliers act on the pair.
 
     Attributes:
-        operators: the operators at these nodes. Their weights are the whole areas of the nodes that
-            the pair owns; of all that act on it, the parts of their areas on the pair.
+        operators: the operators at these nodes. Their weights are the covered areas of the nodes,
+            in `own_rows` on all pairs of the group together, in `by_pair` on this pair alone.
         nodes: (n,) number of each node among the nodes of all pairs of B.
         normal: (n_normal,) row of B of each row of N.
         tangential: (n_tangential,) row of B of each row of T.
@@ -47,26 +48,25 @@ class RowsOfPair:
     tangential: Indices
 
     def nodal_vectors(self, values: Array) -> Array:
-        """Return the values (size,) of B's rows at the nodes, see `PairOperators`."""
+        """Return `PairOperators.nodal_vectors` (n, 1 + d) from the values (size,) of B's rows."""
         return self.operators.nodal_vectors(values[self.normal], values[self.tangential])
 
 
 class JumpOperator(PetscOwner):
-    """The jump operator B with scaled rows, and the data of its rows.
+    """The jump operator B: its matrix with scaled rows, and scales, nodes and gaps of the rows.
 
-    A row is multiplied by the square root of its node's area. Tangential rows are also stretched
-    such that friction ellipses become discs.
-
-    Vectors of multipliers are numpy arrays with this rank's rows: for each pair its normal
-    multipliers, then its tangential multipliers. Tractions are `stress_scale` times them.
-
-    Owns PETSc objects: call `destroy()`. The caller keeps the linear system.
+    A row is multiplied by the root of its node's area. Tangential rows are also stretched such that
+    friction ellipses become discs. Vectors of multipliers are numpy arrays with the rows of this
+    rank, `size` in number: for each pair its normal rows, then its tangential rows. Tractions are
+    `stress_scale` times multipliers. Owns PETSc objects: call `destroy()`. The caller keeps the
+    linear system.
 
     Attributes:
+        pairs: for each contact pair the operators at the nodes whose multipliers it owns.
         frames: the frames of bodies that have turned; None: there are none.
-        own_rows: the nodes and rows of the multipliers that each pair owns.
-        nodes: the positions of each pair's nodes among the nodes of all pairs.
-        row_nodes: (size,) the position of each row's node among the nodes of all pairs.
+        own_rows: for each pair the nodes and rows of the multipliers that it owns.
+        nodes: for each pair the slice of its nodes among the nodes of all pairs.
+        row_nodes: (size,) the index of each row's node among the nodes of all pairs.
         is_tangential: (size,) whether a row is tangential.
         matrix: the `PETSc.Mat` B, with a column for each unknown of the system; with `frames`, B R,
             since the unknowns are displacements in the frames.
@@ -76,13 +76,13 @@ class JumpOperator(PetscOwner):
         discs: Lambda with infinite slip bounds. The tangential rows of a node share one disc. At
             nodes with friction along only one of two tangents, the frictionless row has a disc of
             its own; these discs come after the discs of all nodes.
-        work: a vector of unknowns, which methods of `ContactCompliance` may change.
+        work: a vector of unknowns that `ContactCompliance`, `NearField`, `DualProgram` overwrite.
     """
 
     def __init__(
         self, system: LinearSystem, pairs: Sequence[PairOperators], frames: BodyFrames | None = None
     ) -> None:
-        """Assemble B. Collective."""
+        """Assemble B from the operators of all pairs; with `frames`, B R. Collective."""
         self.system, self.frames, self.comm = system, frames, system.comm
         self.reductions = RankReductions(system.comm)
         # nodes are numbered pair by pair, and rows too: those of N, then those of T
@@ -107,7 +107,7 @@ class JumpOperator(PetscOwner):
         stretch[tangential], self._relative_radius, frictionless = friction_discs(
             self.row_nodes[tangential], semi_axes, count
         )
-        # `assemble_B` multiplies rows by the roots of areas; then they are stretched
+        # with a column for each degree of freedom of V; rows times roots of areas, then stretched
         self._of_V = B = assemble_B(system.V, pairs)
         self._multipliers, self._jump = B.createVecLeft(), B.createVecLeft()
         self._multipliers.array = stretch
@@ -118,7 +118,7 @@ class JumpOperator(PetscOwner):
         self._force, self.work = self.matrix.createVecRight(), self.matrix.createVecRight()
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
-        # a disc for each node, then one for each row that alone of its node has no friction
+        # a disc for each node, then one for each frictionless row whose node has another row
         rubs = ~is_bonded[tangential]
         has_own_disc, tangential = frictionless[rubs], tangential[rubs]
         node = self.row_nodes[tangential].astype(np.intp)
@@ -130,17 +130,17 @@ class JumpOperator(PetscOwner):
         self.discs = FeasibleSet(len(scale), normal, tangential, node, radius, normal_of)
 
     def destroy(self) -> None:
-        """Free the PETSc objects, `_components` if it has been made. Collective."""
+        """Free the PETSc objects, `_jump_matrix` if it has been made. Collective."""
         for owned in (self._multipliers, self._jump, self._force, self.work, self.matrix):
             owned.destroy()
         if self._of_V is not self.matrix:
             self._of_V.destroy()
-        if "_components" in vars(self):
-            self._components.destroy()
+        if "_jump_matrix" in vars(self):
+            self._jump_matrix.destroy()
 
     @property
     def by_pair(self) -> list[RowsOfPair]:
-        """The nodes and rows of all multipliers that act on each pair."""
+        """Nodes and rows of all multipliers that act on each pair, whichever pair owns them."""
         result = []
         for k in range(len(self.pairs)):
             # of each pair j of the group, the nodes whose areas are in part those of pair k
@@ -157,7 +157,7 @@ class JumpOperator(PetscOwner):
         return result
 
     def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
-        """Set the pairs, which may be copies with other distances or gaps. Not collective."""
+        """Set `pairs`, `own_rows` and `gap` from pairs that differ in gaps only. Not collective."""
         self.pairs, self.gap = list(pairs), np.zeros(len(self.length_scale))
         self.own_rows = [
             RowsOfPair(operators, np.arange(nodes.start, nodes.stop), *rows)
@@ -168,13 +168,13 @@ class JumpOperator(PetscOwner):
             self.gap[normal] = gaps / self.length_scale[normal]
 
     def bounded(self, slip_bounds: Sequence[NodalBounds]) -> FeasibleSet:
-        """Return Lambda for slip bounds at each pair's nodes. Collective.
+        """Return Lambda or friction cones for slip bounds at each pair's nodes. Collective.
 
         The result is `FrictionCones` if any bound depends on the pressure, on any rank.
         """
-        # the radius of a node's disc is the bound times `_relative_radius`; if the bound is a
-        # stress, also times the root of the area, as multipliers are, while a coefficient is a
-        # ratio. Discs of rows without friction, which come last, keep the radius 0
+        # the radius of a node's disc is its slip bound times `_relative_radius`, and also times the
+        # root of its area if the bound is a stress; a coefficient is a ratio of multipliers. The
+        # discs of frictionless rows, which come last, keep the radius 0
         count, roots = len(self.discs.radius), self._root_areas
         ratios, scaled = self._relative_radius, self._relative_radius * roots
         names = "constant", "coefficient", "limit"
@@ -195,7 +195,7 @@ class JumpOperator(PetscOwner):
     def along_axes(self, slip_bounds: Sequence[NodalBounds]) -> JumpOperator:
         """Return B with tangents along the axes of each node's friction ellipse. Collective.
 
-        The result is self if all tangents stay the same, else a new operator that the caller owns.
+        The result is self if tangents and semi-axes stay, else a new operator that the caller owns.
         """
         pairs = [
             with_tangents_along_axes(self.system.V, operators, bounds)
@@ -206,11 +206,11 @@ class JumpOperator(PetscOwner):
         return self if everywhere else JumpOperator(self.system, pairs, self.frames)
 
     def nodal_vectors(self, values: Array) -> list[Array]:
-        """Return the values (size,) of B's rows at each pair's nodes, see `PairOperators`."""
+        """Return for each pair vectors (n, 1 + d) from values (size,) of rows; see `RowsOfPair`."""
         return [rows.nodal_vectors(values) for rows in self.own_rows]
 
     def components(self, vectors: Sequence[Array]) -> Array:
-        """Return the values (size,) of B's rows from `nodal_vectors`. Not collective."""
+        """Return values (size,) of rows from vectors as of `nodal_vectors`. Not collective."""
         result = np.zeros(len(self.gap))
         for operators, (n, t), at_nodes in zip(self.pairs, self._rows, vectors, strict=True):
             result[n] = at_nodes[operators.normal_node, 0]
@@ -227,21 +227,21 @@ class JumpOperator(PetscOwner):
         return np.array(self._jump.array)
 
     def of_displacement(self, u: fem.Function) -> Array:
-        """Return B u for a Function on the displacement's space. Collective."""
+        """Return B u (size,) for a displacement, with the motion of frames in it. Collective."""
         self._of_V.mult(u.x.petsc_vec, self._jump)
         return np.array(self._jump.array)
 
     def vectors(self, u: fem.Function) -> list[Array]:
-        """Return for each pair all components of the jumps of u (n, d) [length]. Collective."""
-        product = self._components.createVecLeft()
-        self._components.mult(u.x.petsc_vec, product)
+        """Return for each pair the jump vectors (n, d) [length] of u, not scaled. Collective."""
+        product = self._jump_matrix.createVecLeft()
+        self._jump_matrix.mult(u.x.petsc_vec, product)
         vectors = product.array.reshape(-1, self.system.V.dofmap.index_map_bs).copy()
         return [vectors[nodes] for nodes in self.nodes]
 
     def closings(self, u: fem.Function) -> list[Array]:
-        """Return for each pair the jumps of u (n,) [length] along its nodes' normals. Collective.
+        """Return for each pair by how much u closes gaps at nodes, (n,) [length]. Collective.
 
-        Nodes without a row of N, such as nodes that are prescribed along the normal, are included.
+        This is the jump along the normal, also at nodes prescribed there, which have no row of N.
         """
         return [
             dots(vectors, operators.normals)
@@ -249,28 +249,28 @@ class JumpOperator(PetscOwner):
         ]
 
     @cached_property
-    def _components(self) -> PETSc.Mat:
-        """The matrix from u to all components of the jumps at all nodes. Collective."""
+    def _jump_matrix(self) -> PETSc.Mat:
+        """The matrix from u to all components of the jumps at all nodes, not scaled. Collective."""
         dofmap = self.system.V.dofmap
         identity = np.eye(dofmap.index_map_bs)
         rows = [kron(operators.jump, identity, format="csr") for operators in self.pairs]
         return as_petsc(dofmap.index_map, dofmap.index_map_bs, rows, self.comm)
 
     def whole_force(self, x: Array) -> PETSc.Vec:
-        """Return B'x [force], also where u is prescribed; the next call overwrites the vector."""
+        """Return B'x [force], also where u is prescribed. Collective; overwritten by each call."""
         self._multipliers.array = x
         self.matrix.multTranspose(self._multipliers, self._force)
         return self._force
 
     def contact_force(self, x: Array) -> PETSc.Vec:
-        """Return B'x [force], zero where u is prescribed; the next call overwrites the vector."""
+        """Return B'x [force], zero where u is prescribed. Collective; overwritten by each call."""
         self.whole_force(x)
         self._force.array[self.system.prescribed] = 0.0
         return self._force
 
     def net_force(self, x: Array) -> PETSc.Vec:
-        """Return f - B'x [force]; the next call, also of `contact_force`, overwrites the vector."""
-        force = self.contact_force(x)
+        """Return f - B'x [force], with the prescribed values of u where there are. Collective."""
+        force = self.contact_force(x)  # the vector that the next call overwrites
         force.aypx(-1.0, self.system.f.x.petsc_vec)
         return force
 
@@ -287,9 +287,9 @@ def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
 def local_stiffness(jump: JumpOperator) -> Array:
     """Return 1 / diag(B diag(K)^-1 B'), (size,): force per jump of each row of B. Collective.
 
-    This is the stiffness of a node whose neighbours are fixed. In A, neighbours are not fixed:
-    diag(A) is about the inverse of this stiffness, times a factor that hardly varies over a
-    surface. In the code, B diag(K)^-1 B' has the diagonal (B_ij^2) diag(K)^-1.
+    This is the stiffness of a node whose neighbours are fixed, which scales models of A and local
+    errors: diag(A) is about its inverse, times a factor that hardly varies over a surface. In the
+    code, the matrix of the squares of B's entries is multiplied by diag(K)^-1.
     """
     squares = jump.matrix.copy()
     squares.assemble()

@@ -1,4 +1,4 @@
-"""Transfer from one load step to the next: B of displaced surfaces, multipliers, and slip."""
+"""Transfer from one pairing to the next, and over load steps: B, multipliers, and slip."""
 
 from __future__ import annotations
 
@@ -29,15 +29,14 @@ def displaced_jump(
     anew: Sequence[bool] | Mask,
     frames: BodyFrames | None = None,
 ) -> JumpOperator:
-    """Return B of displaced surfaces, owned by the caller. Collective.
+    """Return B of surfaces displaced by u [length], owned by the caller. Collective.
 
-    Surfaces are paired at u [length] if `anew` says so for their pair, or for another pair of its
-    group; bonded pairs stay the same. The gap is compared with N times the total displacement.
-    Hence it is the distance of the displaced surfaces plus N u. Bending of edges by u is treated
-    differently on the two sides. On the primary side, the distance is measured to the bent edges,
-    since they may now face other nodes; so the N u that is added contains their bending. On the
-    secondary side, neither term contains the bending, which is part of N times the total
-    displacement: the heights of curved edges over their chords stay as in the previous B.
+    The surfaces of a pair are paired anew if `anew` (pairs,) says so for the pair, or for another
+    pair of its group; bonded pairs stay as in `before`. Since the gap d limits N times the total
+    displacement, d is the distance of the displaced surfaces plus N u. The distance is measured to
+    primary edges as u bends them, since they may face other nodes than before: so the N u that is
+    added contains this bending. Bending of secondary edges is in neither term, since N times the
+    total displacement contains it; their heights over their chords stay as in `before`.
 
     Raises:
         PairingError: the displaced surfaces cannot be paired.
@@ -86,11 +85,11 @@ def displaced_jump(
 def _bent_primary(
     V: Any, straight_u: Array, u: Array, pair: ContactPair, operators: PairOperators
 ) -> Array:
-    """Return the displacement (nodes, dim of space) whose N enters the gap. Collective.
+    """Return the displacement (nodes, dim of space) of which N u is part of the gap. Collective.
 
-    On primary nodes this is u. Elsewhere it is `straight_u`, in which nodes between vertices have
-    the mean of the vertices, and it is `straight_u` everywhere if the exact surface of a side is
-    known, whose height over the facets is kept. Displacements are (nodes, dim of space) [length].
+    On primary nodes this is `u`. Elsewhere it is `straight_u`, in which nodes between vertices have
+    the mean of the vertices. It is `straight_u` everywhere for obstacles, and if the exact surface
+    of a side is known, whose height over the facets is kept. Both are (nodes, dim) [length].
     """
     sides = operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
@@ -111,33 +110,34 @@ def _bent_primary(
 class Carry:
     """Carries tractions and jumps over to another B of the same pairs, node by node.
 
-    A tangential vector loses its part that is normal to the new tangents. New nodes get zero.
+    Tangential vectors stay the same in space, but for parts along which the new B has no tangent.
+    Nodes without multipliers in the old B get zero.
     """
 
     def __init__(self, before: JumpOperator, after: JumpOperator) -> None:
-        """Find the nodes of the new B among the nodes of the old B. Not collective."""
+        """Find the nodes of the new B, `after`, among those of the old B. Not collective."""
         self._before, self._after = before, after
         pairs = zip(before.pairs, after.pairs, strict=True)
         self._positions = [_position(new.nodes, old.nodes) for old, new in pairs]
 
     def multipliers(self, x: Array) -> Array:
-        """Convert multipliers (size,) to the new B. Not collective."""
+        """Return the multipliers (size,) of the new B with the tractions of x. Not collective."""
         return self._carried(x * self._before.stress_scale) / self._after.stress_scale
 
     def jumps(self, jumps: Array) -> Array:
-        """Convert scaled jumps (size,) to the new B. Not collective."""
+        """Return scaled jumps (size,) of the new B with the same lengths. Not collective."""
         return self._carried(jumps * self._before.length_scale) / self._after.length_scale
 
     def _carried(self, values: Array) -> Array:
-        """Convert tractions [stress] or jumps [length], (size,), to the new B."""
+        """Return tractions [stress] or jumps [length], (size,), in the rows of the new B."""
         pairs = zip(self._before.nodal_vectors(values), self._positions, strict=True)
-        # the row of zeros after the last one is for new nodes
+        # for nodes that are new, `_position` is the index of the row of zeros that is appended here
         padded = [np.pad(vectors, ((0, 1), (0, 0)))[position] for vectors, position in pairs]
         return self._after.components(padded)
 
 
 def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
-    """Return the position (n,) of each node among old ones; len(old_nodes) if it is missing.
+    """Return the index (n,) of each node in `old_nodes`; len(old_nodes) if it is missing.
 
     Both arrays are ascending. A node on a sharp edge occurs once for each normal, in order.
     """
@@ -147,8 +147,8 @@ def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
         array.astype(np.int64) * most + np.arange(len(array)) - np.searchsorted(array, array)
         for array in (nodes, old_nodes)
     )
-    place = np.searchsorted(old_keys, keys)
-    return np.where(np.append(old_keys, -1)[place] == keys, place, len(old_nodes))
+    index = np.searchsorted(old_keys, keys)
+    return np.where(np.append(old_keys, -1)[index] == keys, index, len(old_nodes))
 
 
 @dataclass(frozen=True)
@@ -156,13 +156,13 @@ class SlipHistory:
     """The slip and the dissipation of the accepted load steps.
 
     In a quasi-static process, friction resists the slip T u - s of each step, where s is the slip
-    origin, and dissipates energy (docs/theory/problem.md). The method is that of backward Euler.
+    origin, and dissipates energy (docs/theory/problem.md): one step of backward Euler's method.
 
     Attributes:
         origin: (size,) s, the tangential jump at which the slip of the step is zero, divided by
             `JumpOperator.length_scale`; zero in normal rows, and where surfaces are bonded.
         slipped: for each pair an array (owned nodes of V, d + 1) with the sum of the slip vectors
-            of all steps, and the sum of their lengths [length]. Nodes without a partner keep them.
+            of all steps, and the sum of their lengths [length]; nodes keep them without a partner.
         dissipation: dissipation of all steps [energy].
         begun: whether a step was accepted; if not, slips count from the undeformed bodies.
     """
@@ -181,7 +181,7 @@ class SlipHistory:
 
     @classmethod
     def from_displacement(cls, jump: JumpOperator, u: fem.Function) -> SlipHistory:
-        """Return the history whose slip is the tangential jump of a displacement. Collective."""
+        """Return the history of one step whose slip is the tangential jump of u. Collective."""
         slip = jump.of_displacement(u) * jump.length_scale
         steps = []
         for pair, rows in zip(jump.pairs, jump.nodal_vectors(slip), strict=True):
@@ -193,7 +193,7 @@ class SlipHistory:
     def from_slip(
         cls, jump: JumpOperator, slips: Sequence[Array], dissipation: float
     ) -> SlipHistory:
-        """Return the history of a single accepted step. Not collective.
+        """Return the history of one step, such as one on another mesh. Not collective.
 
         For each pair, slips (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
         """
@@ -207,9 +207,9 @@ class SlipHistory:
     ) -> SlipHistory:
         """Return the history after a further load step. Not collective.
 
-        The slip (size,) is divided by `JumpOperator.length_scale`, and exactly zero at sticking
-        nodes, since residuals of the iteration would add up over the steps. For each pair, steps
-        (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
+        The slip (size,) is added to `origin`: divided by `JumpOperator.length_scale`, and zero at
+        sticking nodes, since residuals of the iteration would add up over the steps. For each pair,
+        steps (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
         """
         slipped = []
         for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):

@@ -1,4 +1,4 @@
-"""Evaluation of the user's scalars and vectors at the nodes of a vector space."""
+"""Nodal values of the user's fields, and their derivatives by controls (Constants, Functions)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LEAST_CHANGE, LARGEST_CHANGE = 1e-12, 1e-2
 
 
 def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
-    """Return the Constants and Functions in a field, or those that a Python function reads."""
+    """Return the Constants and Functions in a field, or those that a Python function refers to."""
     if isinstance(field, tuple):
         return [variable for component in field for variable in inputs_of(component)]
     field = expression_of(field)
@@ -52,7 +52,7 @@ def inputs_of(field: Any) -> list[fem.Constant | fem.Function]:
 
 
 def values_of(control: fem.Constant | fem.Function) -> Array:
-    """Return the values of a control, as a flat array that shares their memory."""
+    """Return the values of a Constant or Function as a flat array that shares their memory."""
     return np.asarray(control.value if hasattr(control, "value") else control.x.array).reshape(-1)
 
 
@@ -60,7 +60,7 @@ def values_of(control: fem.Constant | fem.Function) -> Array:
 def replaced(
     controls: Sequence[fem.Constant | fem.Function], values: Sequence[Array]
 ) -> Iterator[None]:
-    """Replace the values of controls inside the block."""
+    """Replace the values of controls inside the block, and restore them after it."""
     present = [values_of(control) for control in controls]
     before = [array.copy() for array in present]
     for array, value in zip(present, values, strict=True):
@@ -75,14 +75,14 @@ def replaced(
 def central_differences(
     comm: Any, control: Any, directions: Array, values: Callable[[], Array], name: str
 ) -> Array | None:
-    """Return the derivatives of values along directions of a control. Collective.
+    """Return central differences of values along directions of a control. Collective.
 
-    The function `values` returns this rank's values (n, ...), by Python code that reads the control
-    or not. The `directions` are (k, number of values of the control). The result (k, n, ...) is
-    None if no value changes. Error messages call the values by the `name`.
+    This is for Python functions of the user, which have no symbolic derivative: `values` returns
+    this rank's values (n, ...) for the present control. The `directions` are (k, number of values
+    of the control). The result (k, n, ...) is None if no value changes. Messages use the `name`.
 
     Raises:
-        InputError: values depend on a Function: derivatives are known by Constants only.
+        InputError: values change with a control that is a Function, not a Constant.
     """
     given = values_of(control).copy()
     result: Array | None = None
@@ -121,7 +121,7 @@ class NodalValues:
     ) -> Array:
         """Return the present values (n, components) of a scalar or vector at nodes. Collective.
 
-        A scalar has 1 component, a vector 3. Error messages call the field by its `name`.
+        Nodes (n,) are local numbers. A scalar has 1 component, a vector 3. Messages use the `name`.
 
         Raises:
             InputError: the field is on another mesh, or a function returns arrays of another shape.
@@ -151,17 +151,17 @@ class NodalValues:
         weights: Array,
         name: str,
     ) -> Array | None:
-        """Return the derivatives of a weighted sum of nodal values by a Function. Collective.
+        """Return the derivative of sum(weights * field at nodes) by a Function. Collective.
 
-        The weights (n,) are derivatives of a goal, from an adjoint solution. The result has a value
-        for each degree of freedom that this rank owns; None: the field does not depend on it.
+        The weights (n,) are derivatives of a goal by nodal values. The result has a value for each
+        degree of freedom of the control that this rank owns; None: the control has no effect.
         """
         # slopes (n, k) by the k degrees of freedom of the cell from which a node takes its value
         space, dofmap = control.function_space, control.function_space.dofmap
         slopes = self.slopes(field, control, ufl.TestFunction(space), nodes, name)
         if slopes is None:
             return None
-        dofs, terms = dofmap.list[self._places[0, nodes]], weights[:, None] * slopes
+        dofs, terms = dofmap.list[self._cell_and_index[0, nodes]], weights[:, None] * slopes
         sums = summed_at_nodes(dofmap.index_map, dofs, terms[..., None])
         return sums[: dofmap.index_map.size_local, 0]
 
@@ -177,7 +177,7 @@ class NodalValues:
         is_constant = isinstance(control, fem.Constant)
         field = expression_of(field)
         if callable(field) and not isinstance(field, Expr):
-            # of a Function, it is only asked whether values change
+            # if the control is a Function, a change of values raises an error
             comm, values = self._V.mesh.comm, partial(self.values_at, field, nodes, name, 1)
             along = np.ravel(direction) if is_constant else np.ones(values_of(control).size)
             rates = central_differences(comm, control, along[None], values, name)
@@ -235,18 +235,18 @@ class NodalValues:
 
         These are its components, or one for each basis function of a test function.
         """
-        # evaluated at all nodes of a cell that has the node; the other values are dropped
+        # evaluated at all nodes of one cell of each node; values at other nodes are dropped
         self._check_mesh(expression, name)
         if expression not in self._compiled:
             # expressions of numbers alone have no mesh
             self._compiled[expression] = fem.Expression(
                 fem.Constant(self._V.mesh, 1.0) * expression, interpolation_points(self._V.element)
             )
-        cells, points = self._places[:, nodes]
+        cells, index = self._cell_and_index[:, nodes]
         sampled = self._compiled[expression].eval(self._V.mesh, cells)
         count = self._V.dofmap.list.shape[1]
         at_points = sampled.reshape(len(cells), count, prod(sampled.shape[1:]) // count)
-        return np.asarray(at_points[np.arange(len(cells)), points])
+        return np.asarray(at_points[np.arange(len(cells)), index])
 
     @cached_property
     def _points(self) -> Array:
@@ -254,8 +254,8 @@ class NodalValues:
         return np.asarray(self._V.tabulate_dof_coordinates())
 
     @cached_property
-    def _places(self) -> LocalNumbers:
-        """For each node the first cell that has it, and its place in this cell, (2, nodes)."""
+    def _cell_and_index(self) -> LocalNumbers:
+        """For each node the first cell that has it, and its index in this cell, (2, nodes)."""
         # of entries that are written several times, numpy keeps the last: in reverse, the first
         cells = self._V.dofmap.list
         first_seen = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)

@@ -37,12 +37,12 @@ from dolfinx_tresca.solvers.problem import KnownProducts
 from dolfinx_tresca.solvers.products import ProductStore, WholeModel
 from dolfinx_tresca.stiffness.solver import SPARE_WORKSPACE, StiffnessSolver, cholesky
 
-#: Number of solves with K in one block.
+#: Number of right-hand sides for which `ContactCompliance.columns` solves with K together.
 BLOCK = 32
 
-#: Largest number of rows of a dense matrix with a direct solver for K, and with an iterative
-#: solver, which needs a solve for each column. With 3,000 rows, a step of Newton's method takes
-#: some seconds, and the matrix takes 72 MB on each rank.
+#: Largest number of rows of a dense matrix A with a direct solver for K, and with an iterative
+#: solver, whose solves for the columns take longer. With 3,000 rows, a step of Newton's method
+#: takes some seconds, and the matrix takes 72 MB on each rank.
 LARGEST_DENSE, LARGEST_DENSE_ITERATIVE = 3000, 300
 
 #: A is a sparse matrix if a smaller part of its entries than `SPARSE_SHARE` may differ from zero.
@@ -53,14 +53,13 @@ SPARSE_SHARE, MOST_ENTRIES = 0.25, 20_000_000
 class SurfaceCompliance:
     """S, the part of K^-1 between the degrees of freedom that contact acts on: A = B S B'.
 
-    If K couples no two bodies, one solve with K, in which each body has one unit load, finds a
-    column of S for each body: the number of solves is the largest number of columns of a body,
-    however many bodies there are. (Compare Curtis, Powell and Reid 1974, On the estimation of
-    sparse Jacobian matrices.) All pairings with one K share S; degrees of freedom on which contact
-    acts for the first time get new columns.
+    K couples no two bodies: so one solve with K, in which each body has one unit load, finds a
+    column of S for each body (compare Curtis, Powell and Reid 1974). The number of solves is the
+    largest number of columns of a body, however many bodies there are. All pairings with one K
+    share S; degrees of freedom on which contact acts for the first time get new columns.
 
     Attributes:
-        body: (owned degrees of freedom,) the body of each.
+        body: (owned degrees of freedom,) number of the body of each degree of freedom.
         dofs: (s,) the global numbers of the degrees of freedom, ascending; on every rank.
         matrix: (s, s) S, sparse; on every rank.
     """
@@ -74,13 +73,13 @@ class SurfaceCompliance:
         self.matrix = csr_array((0, 0))
 
     def rows(self, compliance: ContactCompliance, solves: int, most_rows: int) -> Matrix | None:
-        """Return this rank's rows (size, n) of A. Collective.
+        """Return this rank's rows (size, n) of A = B S B'; None if that is too much. Collective.
 
-        The result is None if new columns take more than so many solves, which count as products, if
-        S or A would have more than `MOST_ENTRIES` entries, or if A has more than `most_rows` rows
-        and is not sparse (`SPARSE_SHARE`).
+        New columns of S take solves with K, which count as products. The result is None if these
+        are more than `solves`, if S or A would have more than `MOST_ENTRIES` entries, or if A has
+        n > `most_rows` rows on all ranks and is not sparse (`SPARSE_SHARE`).
         """
-        jump, (size, unknowns) = compliance.jump, compliance.jump.matrix.getSize()
+        jump, (n, unknowns) = compliance.jump, compliance.jump.matrix.getSize()
         B = csr_array(jump.matrix.getValuesCSR()[::-1], shape=(len(jump.gap), unknowns))
         B.eliminate_zeros()
         touched = np.unique(gather_rows(self._comm, np.unique(B.indices)).astype(np.intp))
@@ -91,12 +90,12 @@ class SurfaceCompliance:
         on_body = (np.ones(len(body)), (np.arange(len(body)), body))
         on_body = csr_array(on_body, shape=(len(body), body.max(initial=0) + 1))
         B = csr_array(B[:, dofs])
-        # A couples multipliers of the same body, and S its degrees of freedom
+        # numbers of entries: A couples multipliers of the same body, and S its degrees of freedom
         multipliers = np.diff(csc_array(abs(B) @ on_body).indptr).astype(np.float64)
         counts = np.array([reduce_array(self._comm, multipliers), on_body.sum(axis=0)])
         entries, is_new = np.square(counts).sum(axis=1), np.isin(dofs, self.dofs, invert=True)
-        is_sparse = entries[0] < SPARSE_SHARE * size**2
-        is_small = entries.max() <= MOST_ENTRIES and (is_sparse or size <= most_rows)
+        is_sparse = entries[0] < SPARSE_SHARE * n**2
+        is_small = entries.max() <= MOST_ENTRIES and (is_sparse or n <= most_rows)
         if not is_small or np.bincount(body[is_new], minlength=1).max() > solves:
             return None
         if is_new.any():
@@ -105,15 +104,18 @@ class SurfaceCompliance:
         return csr_array(rows) if is_sparse else np.asarray(rows.toarray())
 
     def _mine(self, dofs: Indices) -> slice:
-        """Return the slice of those of the ascending numbers that belong to this rank."""
+        """Return the slice of this rank's numbers in ascending global numbers `dofs`."""
         return slice(*np.searchsorted(dofs, self._range))
 
     def _extend(
         self, compliance: ContactCompliance, dofs: Indices, is_new: Mask, on_body: csr_array
     ) -> None:
-        """Compute the columns of new `dofs` (s,), with a 1 in `on_body` (s, bodies). Collective."""
+        """Add to S the columns of those degrees of freedom `dofs` (s,) that are new. Collective.
+
+        The matrix `on_body` (s, bodies) has a 1 at the body of each degree of freedom.
+        """
         B, mine, new = compliance.jump.matrix, self._mine(dofs), np.flatnonzero(is_new)
-        # the load on a new degree of freedom is in the solve of its position among its body's
+        # solve number i has a unit load on the i-th new degree of freedom of each body
         members = csc_array(on_body[new])
         numbers, solve = np.diff(members.indptr), np.full(len(dofs), -1)
         solve[new[members.indices]] = np.arange(len(new)) - np.repeat(members.indptr[:-1], numbers)
@@ -131,15 +133,15 @@ class SurfaceCompliance:
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
-    """Solve with a sparse matrix (n, n) on this rank alone, by MUMPS. Not collective.
+    """Return matrix^-1 right, (n,), by MUMPS on this rank alone. Not collective.
 
-    On a wall of 2,046 bricks, MUMPS takes a sixth of the time of SciPy's SuperLU, and less memory.
+    `WholeModel` uses it for Newton steps. On 2,046 bricks, SciPy's SuperLU takes six times as long.
     """
-    A = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
+    equations = sparse_matrix(matrix, matrix.shape, MPI.COMM_SELF)
     factors = PETSc.PC().create(MPI.COMM_SELF)
-    x, b = A.createVecs()
+    x, b = equations.createVecs()
     b.array = right
-    factors.setOperators(A)
+    factors.setOperators(equations)
     factors.setType(PETSc.PC.Type.LU)
     factors.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
     factors.setFactorSetUpSolverType()
@@ -158,19 +160,19 @@ def _solve(matrix: csr_array, right: Array) -> Array:
     return np.array(x.array)
 
 
-#: Number of layers of cells around the contact whose nodes may move. (With one, two bricks take up
-#: to three products more, and with multigrid up to a fifth more Krylov iterations.)
+#: Number of layers of cells around the contact whose nodes may move in `NearField`. (With one, two
+#: bricks take up to three products more, and with multigrid up to a fifth more Krylov iterations.)
 LAYERS = 2
 
-#: Largest number of unknowns of the level, whose factorisation takes a hundredth of a second. (On
-#: two bricks, a solve takes 63 Krylov iterations with 42 unknowns, and 54 with 2,244.)
+#: Largest number of unknowns of `coarse_level`, whose factorisation takes a hundredth of a second.
+#: (On two bricks, a solve takes 63 Krylov iterations with 42 unknowns, and 54 with 2,244.)
 MOST_UNKNOWNS = 3000
 
 
 def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None:
-    """Return the largest level of multigrid that is small enough, and the factors of its matrix.
+    """Return the largest small level of multigrid, on which `NearField` solves. Collective.
 
-    The level has at most `MOST_UNKNOWNS` unknowns, and the matrix P'K P. Collective.
+    The level has at most `MOST_UNKNOWNS` unknowns, and the matrix P'K P, which is factored.
 
     Returns:
         the interpolations whose product is P, the finest first, and the factors, owned by the
@@ -196,19 +198,18 @@ def coarse_level(pc: PETSc.PC) -> tuple[list[PETSc.Mat], StiffnessSolver] | None
 class NearField(PetscOwner):
     """The approximation D = B S B' <= A, where S <= K^-1 approximates K^-1 near the contact.
 
-    Effects of tractions that oscillate between nodes decay within a few cells: nodes further away
-    may be clamped (as in FETI's preconditioners: Farhat, Mandel and Roux 1994). Further away, the
-    effect of tractions is smooth: products with A represent it, and with multigrid a coarse level
-    in S most of it. Without this level, contact solves take 1.3 to 1.8 times the Krylov iterations.
+    D stands for A in the model where no product is known. Effects of tractions that oscillate
+    between nodes decay within a few cells, so nodes further away may be clamped (as in FETI's
+    preconditioners: Farhat, Mandel and Roux 1994). Smooth effects are left to products with A, and
+    with multigrid to a coarse level, without which solves take 1.3 to 1.8 times the iterations.
 
-    S solves a local system, with K on the degrees of freedom near the contact while all others are
-    clamped, twice. Between the two solves, a system on a coarse level of multigrid is solved. The
-    right-hand side of each solve is the remaining residual. With the projections P_1 and P_0 onto
-    the local and the coarse space, which are orthogonal in the energy inner product,
+    S makes three solves, each for the residual that is left: with K near the contact, all other
+    degrees of freedom clamped; on the coarse level; and again near the contact. With the
+    projections P_1 and P_0 onto the local and the coarse space, orthogonal in energy,
     K^-1 - S = (1 - P_1)(1 - P_0)(1 - P_1) K^-1. This is symmetric and positive semidefinite
-    (Schwarz's method: Toselli and Widlund 2005, chapter 2). If the solver for K has no coarse
-    level, the local system is solved once, and K^-1 - S = (1 - P_1) K^-1. Owns PETSc objects: call
-    `destroy()`. The caller keeps B and the solver for K.
+    (Schwarz's method: Toselli and Widlund 2005, chapter 2). Without a coarse level, the first solve
+    is the only one, and K^-1 - S = (1 - P_1) K^-1. Owns PETSc objects: call `destroy()`. The caller
+    keeps B and the solver for K.
     """
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
@@ -241,7 +242,7 @@ class NearField(PetscOwner):
                 owned.destroy()
 
     def apply(self, x: Array) -> Array:
-        """Return D x, (size,). Collective."""
+        """Return D x (size,), an approximation of A x without a solve with K. Collective."""
         # the first local solve
         force = self._jump.contact_force(x)
         self._local_f.array = force.array[self._dofs]
@@ -270,7 +271,7 @@ class NearField(PetscOwner):
 
 
 def _near(jump: JumpOperator, layers: int) -> Mask:
-    """Return a mask of the owned nodes within some layers of cells from the contact. Collective."""
+    """Return a mask of the owned nodes within `layers` of cells from the contact. Collective."""
     V, B = jump.system.V, jump.matrix
     nodes, cells = V.dofmap.index_map, V.dofmap.list
     # nodes with a nonzero entry in B, on any rank
@@ -288,11 +289,11 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
     return np.asarray(near.array[: nodes.size_local] > 0.0)
 
 
-#: With a direct solver, A is computed at once if this takes at most `FEW` solves; if K has fewer
-#: than `CHEAP` unknowns, as in the plane, in proportion more; and if A is sparse or has no more
-#: than `MOST_AT_ONCE` rows.
-#: (Without, two strips in the plane with 802 rows, continued from a file, take six times the time;
-#: without the limit, a layer of 400 cells that touches with all of its 441 lower nodes takes four.)
+#: With a direct solver, A is computed before the first iteration if it is sparse or has at most
+#: `MOST_AT_ONCE` rows, and if this takes at most `FEW` solves; if K has under `CHEAP` unknowns,
+#: as in the plane, in proportion more, up to `MOST_AT_ONCE`. (Without A, two strips in the plane
+#: with 802 rows, continued from a file, take six times the time; without the limit, a layer of 400
+#: cells that touches with all of its 441 lower nodes takes four.)
 FEW, CHEAP, MOST_AT_ONCE = 400, 10_000, 1000
 
 
@@ -304,9 +305,9 @@ class ContactCompliance(PetscOwner):
     PETSc objects, the solver among them: call `destroy()`. The caller keeps B.
 
     Attributes:
-        springs: the springs in the solver's K that the system's K lacks; None: no body needs any.
+        springs: the springs in the solver's K_p that are not in K; None: no body needs any.
         exact: whether products are exact to rounding (a direct solver for K).
-        products: number of products with A.
+        products: number of products with A so far, for reports and limits on their number.
     """
 
     def __init__(
@@ -331,7 +332,7 @@ class ContactCompliance(PetscOwner):
         self.solver.destroy()
 
     def _destroy_but_solver(self) -> None:
-        # without references to them, their matrices and vectors are freed on several ranks as well
+        # what only these objects own is freed with them, on several ranks by `free_unused`
         vars(self).pop("error_bound", None)
         if (near := vars(self).pop("near_field", None)) is not None:
             near.destroy()
@@ -339,8 +340,7 @@ class ContactCompliance(PetscOwner):
     def on(self, jump: JumpOperator) -> ContactCompliance:
         """Return the compliance for another B, such as the B of displaced surfaces. Collective.
 
-        The solver is the same. PETSc objects of this compliance are destroyed, except the solver.
-        K need not be factored: surfaces are also paired after a factorisation has failed.
+        The solver is kept, even if K could not be factored and it is destroyed; all else is freed.
         """
         self._destroy_but_solver()
         result = ContactCompliance(jump, self.solver, self.springs)
@@ -357,17 +357,17 @@ class ContactCompliance(PetscOwner):
         u.array[self.jump.system.prescribed] = 0.0
         return self.jump.of_unknowns(u)
 
-    def columns(self, place: Indices, count: int, B: PETSc.Mat) -> Array:
-        """Return B K^-1 B'E (rows, count), where a row of E has a single 1 or nothing. Collective.
+    def columns(self, column: Indices, count: int, B: PETSc.Mat) -> Array:
+        """Return this rank's rows (rows, count) of B K^-1 B'E, of A or of S. Collective.
 
-        The 1 of each of this rank's rows is in the column `place` (rows,); -1: none. Each column is
-        a product. Blocks of columns are solved together, which with a direct solver costs far less
-        than single products. B is that of A, or has unit rows (`SurfaceCompliance`).
+        For each row of B on this rank, E has a 1 in the column `column` (rows,); -1: in none. Each
+        column is a product. Blocks of columns are solved together, which with a direct solver costs
+        far less than single products. For A, B is the jump operator; for S, B has unit rows.
         """
-        prescribed, result = self.jump.system.prescribed, np.empty((len(place), count))
+        prescribed, result = self.jump.system.prescribed, np.empty((len(column), count))
         for start in range(0, count, BLOCK):
             block = np.arange(start, min(start + BLOCK, count))
-            multipliers = dense_matrix((place[:, None] == block).astype(np.float64), self.comm)
+            multipliers = dense_matrix((column[:, None] == block).astype(np.float64), self.comm)
             forces = B.transposeMatMult(multipliers)
             forces.getDenseArray()[prescribed] = 0.0
             displacements = forces.duplicate()
@@ -381,54 +381,54 @@ class ContactCompliance(PetscOwner):
         return result
 
     def known_products(self) -> KnownProducts:
-        """Return the store of all known products with A. Collective.
+        """Return the known products with A, or A as a matrix (`WholeModel`). Collective.
 
-        The first call computes A if this takes few solves with K (`FEW`).
+        The first call computes the matrix if this takes few solves with K (`FEW`).
         """
         if self._store is None:
-            jump, (size, unknowns) = self.jump, self.jump.matrix.getSize()
+            jump, (n, unknowns) = self.jump, self.jump.matrix.getSize()
             # in a mixed space, clamped nodes round the near field would fix its volume
             is_mixed = jump.system.component is not None
-            near = None if is_mixed or size == 0 else (lambda x: self.near_field.apply(x))
+            near = None if is_mixed or n == 0 else (lambda x: self.near_field.apply(x))
             self._store = ProductStore(
                 jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
             )
-            if self.exact and size > 0:
+            if self.exact and n > 0:
                 few = min(FEW * max(1.0, CHEAP / unknowns), MOST_AT_ONCE)
                 self.complete_products(few, MOST_AT_ONCE)
         return self._store
 
     def complete_products(self, solves: float = np.inf, most_rows: int = LARGEST_DENSE) -> bool:
-        """Compute A as a matrix with at most so many solves, and rows if it is dense. Collective.
+        """Compute A as a matrix if it is not too large; return whether it is known. Collective.
 
-        The result is whether A is known. Solves with K count as products. A follows from the
-        compliance of the surfaces if this takes fewer solves than A has rows, or no more than the
-        number of products that former pairings with this K have taken without it.
+        At most `solves` solves with K are made, which count as products, and a dense A has at most
+        `most_rows` rows. A follows from S (`surfaces`) if this takes fewer solves than A has rows,
+        or, beyond the limit `solves`, no more than former pairings with this K have taken products.
         """
         if isinstance(self._store, WholeModel):
             return True
         B, rows = self.jump.matrix, None
-        size, most_rows = B.getSize()[0], most_rows if self.exact else LARGEST_DENSE_ITERATIVE
+        n, most_rows = B.getSize()[0], most_rows if self.exact else LARGEST_DENSE_ITERATIVE
         if self.surfaces is not None:
-            limit = max(int(min(solves, size - 1)), self._products_before)
+            limit = max(int(min(solves, n - 1)), self._products_before)
             rows = self.surfaces.rows(self, limit, most_rows)
         if rows is not None:
             self._products_before = -self.products  # those until now do not count
-        elif size <= min(solves, most_rows):
-            rows = self.columns(np.arange(*B.getOwnershipRange()), size, B)
+        elif n <= min(solves, most_rows):
+            rows = self.columns(np.arange(*B.getOwnershipRange()), n, B)
         if rows is not None:
             start, compliance = B.getOwnershipRange()[0], np.reciprocal(self.nodal_stiffness)
             self._store = WholeModel(self.jump.reductions, rows, start, compliance, _solve)
         return rows is not None
 
     def forget(self) -> None:
-        """Drop all products. Not collective."""
+        """Drop all known products with A, and S. Not collective."""
         self._store = None
         vars(self).pop("surfaces", None)
 
     @cached_property
     def surfaces(self) -> SurfaceCompliance | None:
-        """S; None if K is solved iteratively, of a mixed space, or couples bodies. Collective."""
+        """S; None if K is solved iteratively, has a pressure, or couples bodies. Collective."""
         if not self.exact or self.jump.system.component is not None:
             return None
         surfaces = SurfaceCompliance(self.jump.system)
@@ -444,7 +444,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def error_bound(self) -> EnergyBound:
-        """The object that bounds errors in the energy norm. Collective."""
+        """The bound of the iteration's error in the energy norm. Collective."""
         return EnergyBound(self.jump, self.nodal_stiffness)
 
     @cached_property
@@ -454,7 +454,7 @@ class ContactCompliance(PetscOwner):
 
     @cached_property
     def estimator(self) -> DiscretisationError:
-        """The object that estimates the error of the mesh. Collective."""
+        """The estimate of the mesh's error in the energy norm. Collective."""
         system = self.jump.system
         return DiscretisationError(system.form, system.V, system.axisymmetric)
 
@@ -467,6 +467,6 @@ class ContactCompliance(PetscOwner):
     def stress_rounding(self) -> float:
         """Size of the pressures [stress] that the rounding of coordinates causes. Collective."""
         jump = self.jump
-        stress = self.nodal_stiffness * jump.stress_scale / jump.length_scale
-        stiffness, extent = largest_abs(jump.comm, stress, jump.system.V.mesh.geometry.x)
+        by_length = self.nodal_stiffness * jump.stress_scale / jump.length_scale
+        stiffness, extent = largest_abs(jump.comm, by_length, jump.system.V.mesh.geometry.x)
         return ROUNDING * extent * stiffness

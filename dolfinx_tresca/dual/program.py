@@ -30,8 +30,8 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 class InitialGuess:
     """First guesses of u = K^-1 (f - B'x): the displacements at x = 0 and at the last multipliers.
 
-    Displacements are arrays of this rank's unknowns. (Neither PETSc's `KSPGuess`, Fischer 1998, nor
-    planes or lines through earlier points save Krylov iterations.)
+    Iterative solvers start from them; they are arrays of this rank's unknowns, kept from solve to
+    solve. (Neither PETSc's `KSPGuess`, Fischer 1998, nor lines through points save iterations.)
 
     Attributes:
         load: u at x = 0, the displacement without contact.
@@ -42,7 +42,7 @@ class InitialGuess:
     newest: Array | None = None
 
 
-#: Relative accuracy of the displacement without contact, in the energy norm.
+#: Relative accuracy in the energy norm, for iterative solvers, of the displacement without contact.
 LOAD_ACCURACY = 1e-6
 
 #: Largest length or force that is accepted: its square, times a stiffness or area of up to 1e28, is
@@ -53,19 +53,19 @@ LARGEST_ENTRY = 1e140
 class DualProgram:
     """The quadratic program of one solve: A, b, Lambda, constraints, displacements and energies.
 
-    It is the input of the algorithms in `dolfinx_tresca.solvers`, and valid until the load or K
-    changes. With a direct solver for K, displacements are exact to rounding, whatever is requested;
-    with an iterative one, only as accurate as requested.
+    The algorithms in `dolfinx_tresca.solvers` get it as their `DualProblem`. It is valid until the
+    load or K changes. With a direct solver for K, displacements are exact to rounding, whatever is
+    requested; with an iterative one, only as accurate as requested.
 
     Attributes:
         offset: (size,) (d; s), divided by the jump's `length_scale`: gaps d, and tangential jumps s
             at which the slip of this solve is zero; less the jumps of frames of turned bodies.
         b: (size,) the linear term B K^-1 f - (d; s) of (38.4), where the paper has s = 0.
         b_error: norm sqrt(e'A^-1 e) of the error e of b.
-        admissible: all multipliers that the present laws of friction allow.
+        admissible: Lambda, or friction cones if slip bounds depend on the pressure.
         equilibrium: equilibrium of tools, floating and softly held bodies; None if there are none.
-        constraints: linear equations of the multipliers: this equilibrium.
-        of_tools: positions of the motions of tools among the multipliers of the constraints.
+        constraints: the equations G'x + S c = e of this equilibrium; none without `equilibrium`.
+        of_tools: slice of the motions of tools in the multipliers c (k,) of the constraints.
         is_load_step: whether this is a load step of a process: a step was accepted before.
     """
 
@@ -82,9 +82,9 @@ class DualProgram:
     ) -> None:
         """Make the program for the system's present load, with one solve with K. Collective.
 
-        An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: only the scale of
-        residuals and the reported q depend on this b, while gradients do not. The `guess` is
-        updated by every solve. Without `history`, slips count from the undeformed bodies.
+        An iterative solver computes b to the low accuracy `LOAD_ACCURACY`: gradients at nonzero
+        multipliers do not depend on this b, but energies and the scale of residuals do. Every solve
+        updates the `guess`. Without `history`, slips count from the undeformed bodies.
 
         Raises:
             InputError: the load is too large or too small for floating-point numbers.
@@ -139,7 +139,7 @@ class DualProgram:
         return np.asarray(np.abs(self.b + self.offset) + np.abs(self.offset))
 
     def refine_b(self) -> None:
-        """Compute b to the highest accuracy of the solver for K, once. Collective."""
+        """Compute b again, once, to the highest accuracy of the solver for K. Collective."""
         if self._is_refined:
             return
         self._is_refined = True
@@ -164,10 +164,10 @@ class DualProgram:
         """Return r = A x - b, and an estimate of its error, sqrt(e'A^-1 e). Collective.
 
         A direct solver takes one product, unless x is zero; its error counts as 0. An iterative
-        solver for K starts from `_guessed`, the last displacement, and solves to the
-        requested `accuracy` only; if it does not reach it, the returned error is larger. A solve
-        counts as a product if it takes any Krylov iteration. The error includes the rounding of r:
-        A times a step is a difference of gradients, which may be pure rounding if it is small.
+        solver starts from the last displacement (`_guessed`), and solves to the requested error
+        `accuracy` only; if it stops before, the returned error is larger. A solve counts as a
+        product if it takes any Krylov iteration. The error includes the rounding of r: A times a
+        step is a difference of gradients, which may be pure rounding if the step is small.
         """
         if self._solver.exact:
             presses = float(self.inner(x, x)) > 0.0
@@ -184,28 +184,28 @@ class DualProgram:
         return r, float(np.hypot(error, 0.5 * np.finfo(float).eps * np.sqrt(square)))
 
     def _solve_from_guess(self, x: Array, u: PETSc.Vec, rtol: float, accuracy: float) -> float:
-        """Set u to K^-1 (f - B'x), solved from `_guessed`; return its error. Collective."""
+        """Set u to K^-1 (f - B'x) by a solve from `_guessed`; return the error. Collective."""
         u.array = self._guessed(x)
         return self._solver.improve(self.jump.net_force(x), u, rtol=rtol, accuracy=accuracy)
 
     def _guessed(self, x: Array) -> Array:
-        """Return the displacement without contact for x = 0, else that of the last multipliers."""
+        """Return the guess of K^-1 (f - B'x): `InitialGuess.load` for x = 0, else `newest`."""
         newest = self._guess.newest
         if newest is None or float(self.inner(x, x)) == 0.0:
             return self._guess.load
         return newest
 
     def gradient_of(self, u: PETSc.Vec) -> Array:
-        """Return (d; s) - B u, (size,): the gradient at the multipliers of u. Collective."""
+        """Return (d; s) - B u, (size,): the gradient at x for u = K^-1 (f - B'x). Collective."""
         return self.offset - self.jump.of_unknowns(u)
 
     def compute_displacement(self, x: Array, u: PETSc.Vec, accuracy: float | None = None) -> float:
-        """Set u to K^-1 (f - B'x), unless it is known accurately enough; return its error.
+        """Set u to K^-1 (f - B'x) after the iteration; return the error of u. Collective.
 
-        Collective. The requested error of u in the energy norm is `accuracy`, without effect on a
-        direct solver; with None, the options of the solver determine it. The next solve starts from
-        the result. `_guessed`, that of the last gradient, is returned unchanged if it is accurate
-        enough: the convergence was checked with it, and a more accurate displacement may have a
+        The error in the energy norm may be `accuracy`; with None, the options of the solver decide.
+        The next solve starts from u. A direct solver ignores `accuracy`, and solves unless u is
+        known. With an iterative solver, u is the displacement of the last gradient if this is
+        accurate enough: its convergence was checked, and a more accurate displacement may have a
         larger `energy_bound`, which closes gaps by moving contact nodes alone: this takes much
         energy if the difference of displacements is smooth and cells are flat.
         """
@@ -223,10 +223,10 @@ class DualProgram:
         return self._solver.error(self.jump.net_force(x), u)
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K = sqrt(a(u, u)) for u = K^-1 (f - B'x); 0 if less than its `error`.
+        """Return |u|_K = sqrt(a(u, u)) for u = K^-1 (f - B'x), from energies. Collective.
 
-        The gradient r is A x - b, without G c, and u is without the rigid displacements of bodies
-        on soft springs. The first call may need a solve with K (`_load_terms`). Collective.
+        The gradient r is A x - b, without G c, and u is without rigid displacements. The result is
+        0 if the `error` of u hides |u|_K^2. The first call may need a solve (`_load_terms`).
         """
         energy, jump_of_forces = self._load_terms
         # u = K^-1 f - K^-1 B'x: |u|^2 = f'K^-1 f - 2 x'B K^-1 f + x'A x, where A x = r + b; in the
@@ -240,7 +240,7 @@ class DualProgram:
         """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
         Such a displacement is the small difference of K^-1 f and K^-1 B'x, which both have about
-        the norm of K^-1 f. The first call may need a solve with K, as in `energy_norm`.
+        the norm of K^-1 f: contact carries all loads. The first call may need a solve with K.
         """
         energy, _ = self._load_terms
         # rounding is relative to the energy, which is a difference of energies: hence the root
@@ -248,9 +248,9 @@ class DualProgram:
 
     @cached_property
     def _load_terms(self) -> tuple[float, Array]:
-        """a(u, u) without contact, and the jump (size,) due to forces alone. Collective.
+        """a(u, u) for u = K^-1 f, and the jump (size,) that forces alone cause. Collective.
 
-        The first access may take a solve. The energy is that of K with the springs that fix bodies.
+        Prescribed values may take a solve. The energy includes that of the springs that fix bodies.
         """
         system, springs, u = self.jump.system, self.compliance.springs, self._u
         u.array = self._guess.load
@@ -268,11 +268,11 @@ class DualProgram:
         return max(energy, 0.0), jump_of_forces  # the energy of a rigid motion is rounding
 
     def section_at(self, x: Array, r: Array) -> FeasibleSet:
-        """Return Lambda with the slip bounds at the pressures and slips of a point."""
+        """Return Lambda with the slip bounds at the pressures of x and the slips of r."""
         return self.admissible.at_point(x, r).section(x)
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
-        """Return a bound of |u - u*|_K for u at x in Lambda; u* is the solution. Collective."""
+        """Return a bound of |u - u*|_K; u is at x, with an `error`, u* the solution. Collective."""
         return self.compliance.error_bound.energy_bound(self.section_at(x, r), x, r, error)
 
     def local_minimiser(self, x: Array, r: Array) -> Array:
@@ -288,10 +288,10 @@ class DualProgram:
         return relative_change(*self.local_change(x, r))
 
     def local_change(self, x: Array, r: Array) -> tuple[float, float, float]:
-        """Return the largest change of tractions from x to the nodes' local minimisers. Collective.
+        """Return the largest change of a node's traction to its local minimum of q. Collective.
 
-        The minimisers are the projection of `local_minimiser` onto Lambda. The result is the
-        change, the largest traction, and the largest rounding error of tractions [stress]. (If
+        The change is that from x to the projection of `local_minimiser` onto Lambda. The result is
+        the change, the largest traction, and the largest rounding error of tractions [stress]. (If
         springs alone carry the loads, tractions and changes are rounding errors of the jumps.)
         """
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
@@ -306,8 +306,8 @@ class DualProgram:
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.
 
-        Before the call, u is K^-1 (f - B'x). The result is the gradient including the term -G c of
-        the constraints, and the energy norm of the rigid displacements that are still missing.
+        Before the call, u is K^-1 (f - B'x). The result is the gradient A x - b - G c, and the
+        energy norm of the rigid displacements that equilibrium with soft springs still lacks.
         """
         r = self.gradient_of(u)
         if self.equilibrium is None:
@@ -315,14 +315,14 @@ class DualProgram:
         return r - self.constraints.columns @ c, self.equilibrium.add_rigid_displacements(x, u, c)
 
     def jump_of_tools(self, c: Array) -> Array:
-        """Return G c (size,) for the motions of tools alone."""
+        """Return G c (size,) for the motions of tools alone, which are not part of u."""
         return np.asarray(self.constraints.columns[:, self.of_tools] @ c[self.of_tools])
 
     def discretisation_error(self, x: Array, c: Array) -> float:
         """Return an estimate of the relative error of the mesh in the energy norm. Collective.
 
-        A direct solver needs one solve with K; the displacement of an iterative one is known. The
-        estimate is zero without displacement, and infinite without a form to estimate from.
+        A direct solver makes one solve; an iterative one improves the last displacement to `ROUGH`.
+        The estimate is zero without displacement, and infinite without a form of the displacement.
         """
         if not self.jump.system.form_of_displacement:
             return np.inf

@@ -1,4 +1,4 @@
-"""Slip bounds at the nodes of a pair: terms, friction ellipses, and checks."""
+"""The user's slip bounds at the nodes of a pair: terms, friction ellipses, and checks."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class NodalBounds:
 
     Attributes:
         constant: (n,) c [stress].
-        coefficient: (n,) F, the coefficient of friction; with a curve, a positive number.
+        coefficient: (n,) F, the coefficient of friction; with a curve, a number to begin with.
         limit: (n,) l [stress], the upper limit of the part F p; infinite without a limit.
-        shape: (n, 2) semi-axes of the friction ellipses along the first axis and across it,
-            relative to the longer one, which is these bounds; 1 for circles.
+        shape: (n, 2) semi-axes of the friction ellipses along the first axis and normal to it,
+            divided by the longer one, whose length is c + min(F p, l); 1 for circles.
         direction: (n, 3) vectors whose tangential parts are the first axes; None: all are circles.
         curve: F as a function of pressure and slip; None: F is the coefficient.
     """
@@ -45,10 +45,10 @@ def with_tangents_along_axes(
 ) -> PairOperators:
     """Return operators whose tangents are the axes of the friction ellipses. Collective.
 
-    Along its axes an ellipse can be scaled to a disc (`friction_discs`). A node with a single
-    tangential direction keeps this direction, and its slip bound is the semi-diameter of the
-    ellipse along this direction. A node whose ellipse is a circle keeps its tangents. If neither
-    tangents nor semi-axes change on this rank, up to rounding, the result is `operators` itself.
+    If T has its rows along the axes, an ellipse can be scaled to a disc (`friction_discs`). A node
+    with one tangent keeps it, and its slip bound is the semi-diameter of the ellipse along it. A
+    node whose ellipse is a circle keeps its tangents. If neither tangents nor semi-axes change on
+    this rank, up to rounding, the result is `operators` itself.
     """
     if bounds.direction is None:
         return operators
@@ -74,10 +74,10 @@ def with_tangents_along_axes(
 
 
 def _axes(V: Any, operators: PairOperators, direction: Array, circular: Mask) -> Array:
-    """Return the axes (n, 2, 3) of the ellipse of each node; zero for circles. Collective.
+    """Return the axes (n, 2, 3) of each node's ellipse, as unit vectors. Collective.
 
-    The first axis is the tangential part of the direction (n, 3). Where it is zero at a node with
-    an ellipse and tangents, an error is raised.
+    The first axis is along the tangential part of the direction (n, 3). Where this part is zero, so
+    are the axes, as at circles; at a node with tangents that is not `circular`, it is an error.
     """
     axis = direction - dots(direction, operators.normals)[:, None] * operators.normals
     length, whole = np.linalg.norm(axis, axis=1), np.linalg.norm(direction, axis=1)
@@ -109,9 +109,9 @@ def _vector_text(vector: Array) -> str:
 
 
 def _semi_diameters(direction: Array, shape: Array) -> Array:
-    """Return the semi-diameters 1 / |(d_1 / b_1, d_2 / b_2)| (n,) of ellipses in directions d.
+    """Return the semi-diameters 1 / |(d_1 / b_1, d_2 / b_2)| (n,) along unit vectors d.
 
-    The d (n, 2) are components of unit vectors along the axes, and `shape` (n, 2) has the b.
+    The components of d along the axes are `direction` (n, 2); the semi-axes b are `shape` (n, 2).
     """
     # a component d_i that is zero counts as zero where b_i is zero, too; any other one as infinite
     nonzero = np.abs(direction) > ROUNDING
@@ -132,11 +132,11 @@ def friction_discs(node: LocalNumbers, semi_axes: Array, count: int) -> tuple[Ar
     stretch_1^2 = b_1 / b_2 and stretch_2^2 = b_2 / b_1, and the disc has the radius sqrt(b_1 b_2).
     If one semi-axis is zero, the disc of the node is an interval, from minus to plus the other
     semi-axis. Each tangential row has its node in `node` (n_tangential,), one of `count` nodes, and
-    its semi-axis in `semi_axes` (n_tangential,). Not collective.
+    its semi-axis in `semi_axes` (n_tangential,), relative to the longer one. Not collective.
 
     Returns:
         the stretch (n_tangential,), the ratio of traction to unknown [1]; the radius (count,) of
-        the disc, relative to the longer semi-axis [1], which is 1 at nodes without rows; and
+        each node's disc, relative to the longer semi-axis [1], and 1 at nodes without rows; and
         whether a row (n_tangential,) has a zero bound, while the other row of its node has not.
     """
     # sums over the positive semi-axes of each node: their number, and their logarithms
@@ -150,7 +150,7 @@ def friction_discs(node: LocalNumbers, semi_axes: Array, count: int) -> tuple[Ar
     return stretch, radius, ~positive & (positive_axes[node] > 0)
 
 
-#: Names of the terms of a bound in error messages; laws have their own name for the constant term.
+#: Names of the terms of a bound in error messages; laws name the constant term `constant_name`.
 TERMS = {
     "constant": Friction.constant_name,
     "coefficient": "the coefficient of friction",
@@ -162,7 +162,7 @@ DIRECTION = "the direction of the slip bound"
 
 
 def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]]]:
-    """Return the scalars of each term of a bound, two for ellipses, with names for messages."""
+    """Return term -> its fields, two for ellipses, each with the name for error messages."""
     result = {}
     for term, words in TERMS.items():
         name = friction.constant_name if term == "constant" else words
@@ -172,15 +172,15 @@ def _named_scalars(friction: Friction) -> dict[str, list[tuple[ScalarField, str]
 
 
 class SlipBounds:
-    """Evaluates slip bounds at nodes of a vector space."""
+    """Evaluates friction laws at nodes: the bounds of which `JumpOperator.bounded` makes Lambda."""
 
     def __init__(self, V: Any) -> None:
-        """Keep the space of the displacements."""
+        """Keep the space of the displacements, to whose local numbers of nodes `nodes` refer."""
         self._comm, self._dim = V.mesh.comm, V.mesh.geometry.dim
         self.values = NodalValues(V)
 
     def check(self, friction: Friction, nodes: LocalNumbers, stress_rounding: float) -> None:
-        """Check that bounds can be evaluated at nodes of this rank. Collective.
+        """Check that bounds can be evaluated at nodes (n,), as a problem is created. Collective.
 
         Values are checked only of bounds that are plain numbers: others may change before a solve.
         For `stress_rounding` [stress] see `nodal_bounds`.
@@ -211,10 +211,10 @@ class SlipBounds:
     def nodal_bounds(
         self, friction: Friction, nodes: LocalNumbers, stress_rounding: float = 0.0
     ) -> NodalBounds:
-        """Return the present bounds at nodes of this rank; 0 without friction. Collective.
+        """Return the present bounds at nodes (n,) of this rank; 0 without friction. Collective.
 
         A negative value counts as zero if it is rounding: at most `COEFFICIENT_ROUNDING` times the
-        largest finite value of this bound, or, of a stress, at most `stress_rounding` [stress].
+        largest finite value (for a coefficient, or times 1), or, for a stress, `stress_rounding`.
 
         Raises:
             InputError: a value is negative by more than rounding, or NaN; a coefficient is
@@ -239,7 +239,7 @@ class SlipBounds:
     def check_curve(self, curve: Curve, pressure: Array, slip: Array) -> None:
         """Check a curve's values at pressures (n,) and slips (n,) of this rank. Collective.
 
-        Values at zero pressure may be infinite: they are multiplied by the pressure.
+        Without pressure any value is accepted: the bound at an open node does not contain it.
         """
         name = TERMS["coefficient"]
         with errors_on_all_ranks(self._comm), np.errstate(all="ignore"):
@@ -255,7 +255,7 @@ class SlipBounds:
                 )
 
     def _shape(self, semi_axes: Array, name: str) -> Array:
-        """Return semi-axes (n, 2) divided by the longer one of each node, or 1. Collective.
+        """Return `NodalBounds.shape` (n, 2): semi-axes divided by each node's longer. Collective.
 
         The shape is 1 if both semi-axes are infinite, or zero. A single infinite one is an error.
         """
@@ -273,10 +273,10 @@ class SlipBounds:
         return shape
 
     def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
-        """Return values (n,) at nodes of this rank, checked as bounds. Collective.
+        """Return a term's values (n,) at nodes of this rank, if they are bounds. Collective.
 
-        Negative values are an error, unless they are above -`rounding`, or rounding of the largest
-        value: then they become zero.
+        NaN, an infinite coefficient and negative values are errors. But values above -`rounding`,
+        or within the rounding of the largest value, become zero.
         """
         values = self.values.values_at(field, nodes, name)[:, 0]
         largest = values[np.isfinite(values)].max(initial=0.0)

@@ -1,8 +1,8 @@
 """The equilibrium of bodies and tools held by contact: equations for the multipliers.
 
 A tool is an obstacle held by forces, or a cut bolt that is pulled. It is like a floating body
-without deformation. Let it be moved by V c, with a column of V for each free motion. Then its
-contact forces balance the given forces e, and the gaps follow c:
+without deformation. Let c be the amounts of its free motions. Then its contact forces balance the
+given forces e along each motion, and the gaps follow c:
 
     G'lambda = e,    r = (d; s) - B u - G c,    where a column of G is the jump of a motion.
 
@@ -42,8 +42,8 @@ from dolfinx_tresca.solvers.problem import FrictionDeficit
 #: friction the rigid displacement would not be determined.
 LOAD_RESERVE = 1e-6
 
-#: Contact does not resist a rigid body mode if the mode's squared jump is at most this fraction of
-#: the largest squared jump of the body's modes.
+#: Contact does not resist a rigid body mode if its squared jump, in the rows that Lambda lets act,
+#: is at most this fraction of the largest squared jump of the body's modes.
 UNRESISTED_SQUARE = 1e-6
 
 #: Number of motions that are computed, for an error message, if contact does not resist some joint
@@ -61,9 +61,9 @@ class FreeMotion(NamedTuple):
         tool: name of the tool, for messages.
         name: name of the motion, for messages.
         pairs: numbers of the pairs whose primary side the tool is.
-        direction: (6,) translation, then rotation about `point`, of a unit of the motion.
+        direction: (6,) translation, then rotation about `point`, of the motion with the amount 1.
         point: (3,) point about which the tool turns [length].
-        force: work of the given forces in a unit of the motion.
+        force: work of the given forces in the motion with the amount 1.
     """
 
     tool: str
@@ -76,11 +76,11 @@ class FreeMotion(NamedTuple):
 
 @dataclass(frozen=True)
 class Tools:
-    """The k free motions of all tools of a problem.
+    """The k free motions of all tools of a problem, which `FloatingBodies.with_tools` adds.
 
     Attributes:
         motions: the motions; those of a tool follow one another.
-        jumps: (size, k) G, sparse.
+        jumps: (size, k) G, sparse: the jumps in the rows of B for the amount 1 of each motion.
     """
 
     motions: list[FreeMotion]
@@ -91,11 +91,11 @@ class Tools:
     def from_rows(
         cls, motions: list[FreeMotion], bodies: Bodies, by_pair: Sequence[Any], stress_scale: Array
     ) -> Tools:
-        """Compute G. Not collective.
+        """Compute G, with `by_pair` and `stress_scale` of the `JumpOperator`. Not collective.
 
-        The primary side moves: rows of G are minus the motion along their normal or tangent, times
-        the areas of the node on all pairs of the tool (`by_pair` of B); `stress_scale`, of B, too,
-        divides by the root of its whole area.
+        The primary side moves: the jump is minus the motion along the normal or tangent of a row.
+        It counts with the node's area on pairs of the tool. Division by the root of the node's area
+        on all pairs, which is part of `stress_scale`, then scales it like the rows of B.
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
@@ -111,9 +111,9 @@ class Tools:
         return cls(motions, bodies, csr_array(stress_scale[:, None] * G))
 
     def places(self, c: Array, before: Array) -> Array:
-        """Return the places (pairs, 3, 4) of the tools of all pairs, as `RigidMotion.matrix`.
+        """Return each pair's `RigidMotion.matrix` (pairs, 3, 4) after a solve has moved the tools.
 
-        The amounts c (k,) of the free motions in a solve move the tools from the places `before`.
+        The amounts c (k,) of the free motions move the tools from `before` (pairs, 3, 4).
         """
         result, steps = before.copy(), np.zeros((len(before), 6))  # as `FreeMotion.direction`
         for motion, amount in zip(self.motions, c, strict=True):
@@ -129,9 +129,9 @@ class Tools:
 class Equilibrium:
     """Floating bodies under one load: equations of the multipliers, and rigid displacements.
 
-    Let K_p be K plus the fixing springs. In a system with the matrix K_p, forces of these springs
-    alone cause displacements U c with some coefficients c. Then u = K_p^-1 (f - B'lambda) + U c
-    satisfies K u = f - B'lambda if and only if
+    Let K_p be K plus the fixing springs, and U the displacements that forces of these springs cause
+    (`FixingSprings.response`). With coefficients c, u = K_p^-1 (f - B'lambda) + U c satisfies
+    K u = f - B'lambda if and only if
 
         G'lambda + S c = e,    G = B U,  e = U'f:
 
@@ -139,7 +139,7 @@ class Equilibrium:
 
     Attributes:
         factors: (k,) factors by which the columns of U are multiplied, such that a column of G has
-            length 1, or a smaller length if S resists its mode more than contact does.
+            length 1 in the rows that Lambda lets act; if it is 0 there, S has a diagonal 1 or -1.
     """
 
     constraints: EqualityConstraints
@@ -155,12 +155,12 @@ class Equilibrium:
         return self.constraints.soft_violation(x, c)
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
-        """Return factors * U'f (k,), and the largest sum of the terms of an entry. Collective."""
+        """Return e = factors * U'f (k,) of a load f, and its largest term sum. Collective."""
         result, terms = (self.factors * values for values in self.bodies.resultants(f.array))
         return result, float(terms.max(initial=0.0))
 
     def explain(self, deficit: FrictionDeficit) -> str:
-        """Return a text on the body that slides and its load, for a message. Collective."""
+        """Return a text on a body that friction cannot hold, for NO_FIXED_POINT. Collective."""
         times = deficit.load / deficit.friction if deficit.friction > 0.0 else np.inf
         size = f"{times:.4g} times" if 1.001 <= times < 100.0 else "more than"
         return (
@@ -175,8 +175,8 @@ class Equilibrium:
 class FloatingBodies:
     """Bodies with rigid body modes that K resists weakly or not at all, and the modes' jumps.
 
-    `Equilibrium` combines the displacements U such that the fixing springs have no effect. The
-    motions of tools follow the modes of bodies, with U = 0.
+    They do not depend on the load; `under` returns the `Equilibrium` under a load. The motions of
+    tools follow the modes of bodies, with U = 0: k is the number of both together.
 
     Attributes:
         displacements: U (owned degrees of freedom, k), sparse, caused by the fixing springs.
@@ -193,14 +193,14 @@ class FloatingBodies:
 
     @classmethod
     def none(cls, bodies: Bodies, comm: Any, dim: int, unknowns: int, size: int) -> FloatingBodies:
-        """Return no floating bodies, for displacements (unknowns,) and jumps (size,)."""
+        """Return no floating bodies, for tools alone, with U (unknowns, 0) and G (size, 0)."""
         none, components = np.empty(0), bodies.rigid_modes(dim).T[:, :0]
         body, floats = none.astype(np.intp), none.astype(np.bool_)
         modes = RigidBodyModes(comm, bodies, csr_array((0, 0)), none, floats, body, components)
         return cls(modes, *(csr_array((rows, 0)) for rows in (unknowns, 0, size)))
 
     def with_tools(self, tools: Tools) -> FloatingBodies:
-        """Return the bodies and tools. Not collective."""
+        """Return these bodies with the motions of tools after their modes. Not collective."""
         U, stiffness, motions = self.displacements.copy(), self.stiffness.copy(), tools.motions
         U.resize(U.shape[0], U.shape[1] + len(motions))
         stiffness.resize(U.shape[1], U.shape[1])
@@ -226,10 +226,10 @@ class FloatingBodies:
         return str(self.modes.comm.bcast(text))
 
     def resultants(self, f: Array) -> tuple[Array, Array]:
-        """Return the resultants U'f (k,) of this rank's loads f, and term sums (k,). Collective.
+        """Return the resultants U'f (k,) of loads f on this rank, and term sums (k,). Collective.
 
         A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
-        node, which does not depend on the axes. A resultant below its rounding is set to zero.
+        node, which does not depend on the axes. A resultant below the rounding of its terms is 0.
         """
         # `add_components` (nodes, degrees of freedom) adds up the components at each node
         U, dim = self.displacements, self.modes.dim
@@ -249,7 +249,7 @@ class FloatingBodies:
                 displacements (owned degrees of freedom,) of all bodies.
         """
         bodies, tool_motions = self._body_of_motion, self.tool_motions
-        # lengths of the jumps that contact resists: rows of multipliers that Lambda lets act
+        # `carrying`: jumps in the rows whose multipliers Lambda lets act; `length`: their norms
         carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
         carrying = scaled_rows(self.jumps, carries.astype(np.float64))
         gram = reductions.sparse_inner(carrying, carrying)
@@ -258,7 +258,7 @@ class FloatingBodies:
         largest = _largest_of_group(length, bodies)
         length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
         self._check_resisted(gram, length, largest, reductions)
-        # modes without jumps are scaled by their stiffness, which may be negative if K is unstable
+        # modes without such jumps are scaled by their stiffness, negative if K is unstable
         resisted, k = self.stiffness.diagonal(), len(length)
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
@@ -282,7 +282,7 @@ class FloatingBodies:
 
     @property
     def _body_of_motion(self) -> Indices:
-        """The body (k,) of each motion; each tool has the number of a further body."""
+        """The body (k,) of each mode; motions of a tool have a number above those of bodies."""
         if not self.tool_motions:
             return self.modes.body
         owners = [self.modes.bodies.count + motion.pairs[0] for motion in self.tool_motions]
@@ -291,13 +291,13 @@ class FloatingBodies:
     def _check_resisted(
         self, gram: csr_array, length: Array, largest: Array, reductions: Reductions
     ) -> None:
-        """Raise an error if contact resists some motion of floating bodies too little. Collective.
+        """Raise an error if contact resists a motion of floating bodies or tools too little.
 
-        The `gram` (k, k) has the inner products of the jumps that contact resists. Jumps are scaled
-        to length 1 by their `length` (k,), where this is zero by `largest` (k,), the largest length
-        of the body, and not at all if no jump of the body has a length.
+        Collective. `gram` (k, k) has the inner products of the modes' jumps in the rows that Lambda
+        lets act, and `length` (k,) their norms, or 0 if they are too small beside `largest` (k,),
+        the largest norm of the body. They are scaled by `length`, where it is 0 by `largest`.
         """
-        # floating bodies: `FixingSprings.response` sets their stiffness to exactly 0
+        # floating bodies and tools: `FixingSprings.response` sets their stiffness to exactly 0
         floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
         lengths = np.where(length > 0.0, length, largest)[floats]
         scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
@@ -323,8 +323,8 @@ class FloatingBodies:
     ) -> EqualityConstraints:
         """Return the equations if contact forces can satisfy them, and else raise. Collective.
 
-        It is asked with loads increased by `LOAD_RESERVE`. If forces can but for rounding, `values`
-        are changed such that they can exactly; else `Balance.shift` is a motion of the loads.
+        Loads are increased by `LOAD_RESERVE` for this check. If only rounding is left unbalanced,
+        it is added to `values`. Otherwise the error names the motion that the loads cause.
         """
         increased = replace(constraints, values=(1.0 + LOAD_RESERVE) * constraints.values)
         balanced = balance(increased, feasible_set)
@@ -345,16 +345,16 @@ class FloatingBodies:
 
 
 def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
-    """Return motions that contact does not resist, of one body or of a group of bodies.
+    """Return motions that contact does not resist, of a body or of bodies that move together.
 
-    They are eigenvectors of `gram` (m, m), the inner products of the modes' jumps with 1 on the
-    diagonal, whose eigenvalues are at most a limit. Single bodies that move while all others rest
-    are looked for first, then bodies that move together. The limit for joint motions of n bodies is
-    smaller, since the resistance falls with n: the least eigenvalue of a stack is about 1 / n^4.
+    These are eigenvectors, with eigenvalues up to a limit, of the inner products `gram` (m, m) of
+    jumps, scaled to length 1, of m modes of the bodies `body` (m,). Single bodies that move while
+    all others rest come first, then bodies that move together. The limit for joint motions of n
+    bodies is smaller, since the resistance falls with n: to about 1 / n^4 for a stack.
 
     Returns:
-        the components (m, count) of the motions in the modes, empty if contact resists all motions;
-        and the number of other bodies that contact does not hold either.
+        the components (m, count) of motions in the modes, all of one group of bodies, empty if
+        contact resists all motions; and the number of further bodies that contact does not hold.
     """
     m, entries = len(body), gram.tocoo()
     within = body[entries.row] == body[entries.col]  # all other bodies at rest
@@ -378,14 +378,14 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
 
 
 def _moving(motions: Array, body: Indices) -> Indices:
-    """Return the bodies that move in motions with components (m, count); body (m,) of modes."""
+    """Return the bodies that move in `motions` (m, count) of m modes of the bodies `body` (m,)."""
     lengths = np.linalg.norm(motions, axis=1)
     # twice or half the number changes no message of the tests
     return np.asarray(np.unique(body[lengths > 1e-3 * lengths.max(initial=0.0)]))
 
 
 def _largest_of_group(values: Array, group: Indices) -> Array:
-    """Return for each of the values (k,) the largest value in the same group (k,)."""
+    """Return for each of the values (k,) the largest value with the same number in `group`."""
     largest = np.zeros(int(group.max(initial=-1)) + 1)
     np.maximum.at(largest, group, values)
     return np.asarray(largest[group])

@@ -17,15 +17,15 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 
 class HeldStiffness:
-    """K with springs that fix the bodies that K holds only weakly, assembled and factored anew.
+    """K with springs that fix bodies that K holds weakly or not, for all solves of a problem.
 
     Attributes:
-        method: the solver for K, "cholesky" or "multigrid".
-        reason: why this solver was chosen, as text.
+        bodies: the bodies of the mesh.
+        method, reason: the solver for K, "cholesky" or "multigrid", and why, as text.
     """
 
     def __init__(self, linear: LinearSystem, cell_tags: Any, request: SolverRequest) -> None:
-        """Find the bodies, which tags of cells may name, and choose the solver. Collective."""
+        """Find the bodies, with names from tags of cells, and choose the solver. Collective."""
         self._linear, self._request = linear, request
         self.bodies = Bodies.from_space(linear.V, cell_tags)
         dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
@@ -38,10 +38,10 @@ class HeldStiffness:
     def factored(
         self, timings: dict[str, float]
     ) -> tuple[StiffnessSolver, rigid_modes.FixingSprings | None]:
-        """Assemble K, find the rigid modes that it resists weakly, and factor it. Collective.
+        """Assemble K, and return the solver for K with fixing springs, and the springs. Collective.
 
-        The caller owns the solver. With a mixed space, the modes are found in the first call only:
-        later, pressures may make that block of K indefinite, and pivots tell if bodies are held.
+        The caller owns the solver. With a mixed space, rigid modes are looked for once: later, the
+        displacements' block of K may be indefinite, and pivots tell if bodies are held.
         """
         linear, request = self._linear, self._request
         with timed("stiffness", timings):
@@ -71,7 +71,7 @@ class HeldStiffness:
 
         Raises:
             InputError: the default accuracy without a form of the displacement, by which the error
-                of the mesh is estimated; or a method of the paper for bodies that contact holds.
+                of the mesh is estimated; or a method of the paper if no support holds a body.
         """
         linear = self._linear
         if options.balanced and not linear.form_of_displacement:

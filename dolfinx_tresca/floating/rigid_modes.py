@@ -27,16 +27,16 @@ NAMED_PART = 0.1
 
 @dataclass(frozen=True)
 class RigidBodyModes:
-    """Rigid body modes R, orthonormal in the degrees of freedom, that K hardly resists.
+    """The k rigid body modes R, orthonormal in the degrees of freedom, that K hardly resists.
 
     Attributes:
         basis: R (owned degrees of freedom, k), sparse; zero where u is prescribed.
-        stiffness: (k,) approximate stiffness of the mode's body against deformations of length 1
-            in the degrees of freedom.
+        stiffness: (k,) approximate stiffness of the mode's body, not against the mode, but against
+            deformations of length 1 in the degrees of freedom.
         floats: (k,) True: K does not resist the mode at all; False: soft springs resist it.
-        body: (k,) the body of each mode, ascending.
-        mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`,
-            sparse. Lever arms of rotations are divided by the body's size.
+        body: (k,) the body of each mode, ascending; if K couples bodies, one of these.
+        mode_components: (3 or 6 for each body, k) components of each mode in `Bodies.rigid_modes`:
+            translations, and rotations with lever arms divided by the body's size; sparse.
     """
 
     comm: Any
@@ -58,8 +58,8 @@ class RigidBodyModes:
     def describe(self, components: Array) -> str:
         """Return a text on a body that moves, its motion, and further bodies that move. Collective.
 
-        The body is the first of those that move most. Bodies count as moving if they move by more
-        than `NAMED_PART` of the largest motion. Components are (k,) or (k, columns).
+        The body is the first that moves by 0.9 of the largest motion. Further bodies are those that
+        move by more than `NAMED_PART` of it. Components in the modes are (k,) or (k, columns).
         """
         # (bodies, 3 or 6, columns): translations and rotations of each body
         motions = self.mode_components @ components.reshape(len(self), -1)
@@ -85,7 +85,7 @@ SOFT_STIFFNESS = 0.03
 
 
 def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
-    """Find rigid motions that supports and the assembled K resist little or not. Collective."""
+    """Return the rigid motions that supports and the assembled K hardly resist. Collective."""
     mesh, prescribed = system.V.mesh, system.prescribed_displacements
     comm, dim, sums = mesh.comm, mesh.geometry.dim, RankReductions(mesh.comm)
     modes, label = bodies.rigid_modes(dim), np.repeat(bodies.label, dim)
@@ -122,10 +122,10 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
 
 
 def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> Array:
-    """Return the largest diagonal entry of K on each body, 1 if all are prescribed. Collective.
+    """Return the largest free diagonal entry of K on each body; 1 if none is free. Collective.
 
     The `diagonal` is (nodes, dim), and `free` (nodes * dim,) excludes prescribed entries. An error
-    is raised if any other entry is not positive.
+    is raised if a free entry is not positive. The result (bodies,) is the scale of stiffness.
     """
     node, component = np.nonzero(free.reshape(diagonal.shape))
     entries, label = diagonal[node, component], bodies.label[node]
@@ -147,13 +147,13 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
 def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices, Array, csr_array]:
     """Return the rigid motions x of each body at which x'R'K R x / x'R'R x is stationary.
 
-    The matrix `gram` (m, m) is R'R for the rigid body modes R on free degrees of freedom, `energy`
-    is R'K R, and the modes of the bodies follow one another.
+    Here R are all m rigid body modes of the `count` bodies, one body's after the other's. `gram`
+    (m, m) is R'R on free degrees of freedom, and `energy` (m, m) is R'K R.
 
     Returns:
-        the body (k,) of each motion, ascending; the stiffness (k,) against it; and the components
-        (m, k) of the motions in the modes. Motions that move no free degree of freedom are left
-        out; the other motions are orthonormal on free degrees of freedom.
+        the body (k,) of each motion, ascending (if K couples bodies, one of these); the stiffness
+        (k,) against it; and the components (m, k) of the motions in the modes, orthonormal on free
+        degrees of freedom. Motions that move no free degree of freedom are left out.
     """
     # motions that are orthonormal on free degrees of freedom; (bodies, 3 or 6) squared lengths
     values, vectors = eigenpairs(gram)
@@ -167,7 +167,7 @@ def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices
     return body, stiffness, csr_array(unit @ turned)
 
 
-#: Mean number of a body's nodes on which springs act. (Too few nodes to hold a body are drawn once
+#: Mean number of a body's nodes on which fixing springs act. (Too few to hold a body are drawn once
 #: in 10^10 bodies.) With twice the number, the factors of small bodies get a tenth more entries;
 #: with half the number, the least eigenvalue of K_p is up to half as large.
 FIXING_NODES = 30
@@ -179,9 +179,9 @@ class FixingSprings:
 
     The springs act on a few nodes of each body with modes that K resists little or not at all.
     Solves use K_p in place of K. The equilibrium of the bodies (`floating/equilibrium.py`) removes
-    the effect of the fixing springs again. On floating bodies the fixing springs then have no
-    force. On softly held bodies, which soft springs of the scene hold, the displacements of the
-    `response` cancel the effect of the fixing springs. (The nodes on which springs act correspond
+    the effect of the fixing springs again: on floating bodies, which nothing but contact holds,
+    they then have no force; on softly held bodies, which soft springs of the scene hold, the
+    displacements of the `response` cancel their effect. (The nodes on which springs act correspond
     to the fixing nodes of Brzobohaty et al. 2011.)
     """
 
@@ -197,7 +197,7 @@ class FixingSprings:
         of them with all the others; but more than the modes, since forces deform a body locally.
         """
         modes, label = self.modes, self.modes.bodies.label
-        # the nodes that modes move, and a random number in [0, 1) for each, whatever the partition
+        # the nodes that modes move, and a random number in [0, 1) from each node's global number
         moves = np.diff(modes.basis.indptr).reshape(-1, modes.dim).any(axis=1)
         numbers = reduce_array(modes.comm, np.bincount(label[moves], minlength=modes.bodies.count))
         start = modes.comm.scan(len(label)) - len(label)
@@ -227,10 +227,10 @@ class FixingSprings:
         return float(stretch @ stretch)
 
     def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> tuple[csr_array, csr_array]:
-        """Return the displacements caused by forces of the springs alone. Collective.
+        """Return displacements that forces of the springs alone cause, and stiffness. Collective.
 
-        They are U = K_p^-1 Z Z'R, and equal R for modes that K does not resist. The solver is that
-        for `added_to(K)`.
+        They are U = K_p^-1 Z Z'R, from which `Equilibrium` combines rigid displacements, and equal
+        R for modes that K does not resist. The solver is that for K_p = `added_to(K)`.
 
         Returns:
             U (owned degrees of freedom, k), and the stiffness R'K U (k, k), which is exactly zero
@@ -254,13 +254,13 @@ class FixingSprings:
         norms = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
         norms[norms == 0.0] = 1.0
         # one solve serves one soft mode of every body, and its answer is split into columns of V by
-        # the body of each row (`moves`), unless K couples bodies, as springs between them do
+        # the body of each row (`on_body`), unless K couples bodies, as springs between them do
         soft, body, n = ~modes.floats, modes.body, forces.shape[0]
         label = np.repeat(modes.bodies.label, modes.dim)
-        moves = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
+        on_body = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
         number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
         if couples_bodies(K, label):
-            moves, number_on_body = np.ones((n, k)), np.arange(k)
+            on_body, number_on_body = np.ones((n, k)), np.arange(k)
         force, answer = K.createVecLeft(), K.createVecRight()
         V = csr_array(modes.basis.shape)
         for number in np.unique(number_on_body[soft]):
@@ -268,7 +268,7 @@ class FixingSprings:
             force.array = forces @ (chosen / norms)
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
-            V = V + csr_array(diags_array(answer.array) @ moves @ diags_array(chosen * norms))
+            V = V + csr_array(diags_array(answer.array) @ on_body @ diags_array(chosen * norms))
         return V
 
 
