@@ -195,7 +195,7 @@ class ContactSystem(PetscOwner):
         self.state = state
         if state.jump is not self.jump:
             # the former B was destroyed, and is made again; obstacles are meanwhile where they were
-            # at that pairing, since `_replace_jump` records their distances
+            # in that state, since `_replace_jump` records their distances
             present_motions = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
@@ -213,7 +213,7 @@ class ContactSystem(PetscOwner):
         """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
 
         Pairs with finite sliding are paired at `configuration` [length], others at `geometry`;
-        None: where they are paired now. After a `PairingError` all are paired as they were.
+        None: where they are already. After a `PairingError` all are paired as before the call.
         """
         state, moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration

@@ -104,11 +104,11 @@ class FiniteSliding:
     """
 
     def __init__(self, contact: ContactSystem) -> None:
-        """Begin with the configuration in which the surfaces are paired now. Not collective."""
+        """Begin with the configuration in which the surfaces are paired. Not collective."""
         self._contact = contact
         self._path: list[Configuration] = []
-        self._followed: Array | None = None  # u of the last step that followed a snap
-        self._grows = 0  # number of last configurations in which |u - w| has grown
+        self._followed: Array | None = None  # u to which the last step of a snap has gone
+        self._grows = 0  # number of successive configurations in which |u - w| has grown
         self.configurations, self.snaps, self.error = 1, False, math.inf
 
     def observe(self, u: fem.Function) -> None:
@@ -191,12 +191,12 @@ class FiniteSliding:
     def _part_of_last_motion(
         self, values: Array, before: fem.Function, accepted: fem.Function
     ) -> float:
-        """Return the change of the prescribed `values` in units of the last change. Collective."""
+        """Return the multiple of their last motion by which free bodies go on. Collective."""
         prescribed = self._contact.linear.prescribed
         begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
         last_step, present_step = reached - begin, values - reached
         present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
-        # the projection of the present change on the last one, by which free bodies go on
+        # the multiple is that of prescribed values: their change, projected on the last change
         products = [float(last_step @ last_step), float(last_step @ present_step)]
         square, product = reduce_array(self._contact.comm, products)
         return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
@@ -225,7 +225,7 @@ class FiniteSliding:
         if not alike:
             return u
         accelerated = self._accelerated([*alike[-ANDERSON_DEPTH:], newest])
-        # does the accelerated step go against the residual, and the residual back to a former snap?
+        # does the accelerated step go against the residual, and the residual to where a snap went?
         followed = w if self._followed is None else self._followed
         against, back = self._products(residual, [w - accelerated, followed - w]) > 0.0
         if self._grows >= GROWING and against and not back:

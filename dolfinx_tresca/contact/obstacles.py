@@ -133,7 +133,7 @@ class Obstacles:
     def _motions_of(
         self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator
     ) -> list[FreeMotion]:
-        """Return the motions that `given` leaves free to the obstacle of some pairs. Collective."""
+        """Return the free motions of an obstacle, which is in the pairs `numbers`. Collective."""
         names = ("y",) if jump.system.axisymmetric else FREEDOMS[self._V.mesh.geometry.dim]
         free = names if given.free is None else given.free
         if not set(free) <= set(names):
@@ -179,8 +179,8 @@ class Obstacles:
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rates (pairs,) at which distances change with a control. Collective.
 
-        A change of a normal counts times the extent of the mesh. The `direction` has the control's
-        values; None: any values. An obstacle whose function reads a Function is an error.
+        A change of a normal counts times the extent of the mesh. The `direction` is that in which
+        the control's values change; None: all of them do. Obstacles must not read Functions.
         """
         if direction is None:  # irrational ratios: effects of several values do not cancel
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))

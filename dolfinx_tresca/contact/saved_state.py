@@ -45,7 +45,7 @@ def write_state(
     """Write a state from which a solve begins (`StepState.at_start`). Collective.
 
     Multipliers and the slip origin are written as a pressure and two vectors for each smooth patch
-    of the surface to which a node belongs, since tangents are arbitrary. The last solution is not.
+    of the surface to which a node belongs, since tangents are arbitrary. No solution is written.
     """
     jump, history, accepted = state.jump, state.history, state.accepted
     places = surroundings(jump.system.V)

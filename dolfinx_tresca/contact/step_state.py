@@ -118,7 +118,7 @@ class StepState:
         return cls(jump, SlipHistory.none(jump), zeros, motions, at_rest, at_rest, accepted)
 
     def started_at(self, multipliers: Array) -> StepState:
-        """Return the state in which solves start at multipliers until a step is accepted."""
+        """Return the state in which solves start at given multipliers, until the next step."""
         accepted = replace(self.accepted, multipliers=multipliers, unknowns=self.unknowns)
         return replace(self, multipliers=multipliers, accepted=accepted, end=None, continues=False)
 
@@ -158,7 +158,7 @@ class StepState:
         return replace(self, solution=self.solution and replace(self.solution, status=status))
 
     def at_start(self, depends_on_start: bool) -> StepState:
-        """Return the state from which a solve begins now. Collective.
+        """Return the state from which the next solve of the user begins. Collective.
 
         If solutions depend on where their solve starts, it starts at the last accepted step;
         unknowns that the user has changed since the last solve stay. Otherwise, before the first

@@ -185,7 +185,7 @@ def evaluate(
     pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
 
     # results of the whole scene
-    origin = dual.history.origin.copy()  # the next step starts from where tools are now
+    origin = dual.history.origin.copy()  # the next step starts from where tools have moved
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)

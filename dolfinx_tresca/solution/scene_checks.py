@@ -167,7 +167,7 @@ def motions_of_pairs(
 
 
 def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
-    """Return how points on an obstacle at places (n, d) move, (n, d), from its start to its end."""
+    """Return displacements (n, d) of an obstacle's points at places (n, d), from start to end."""
     points = in_space(places).T
     return (end.applied_to(start.reversed_from(points)) - points).T[:, : places.shape[1]]
 
@@ -175,7 +175,7 @@ def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
 def _motions_of_pair(
     V: Any, pair: ContactPair, operators: PairOperators, jumps: Array, force: Array, paired_u: Array
 ) -> Iterator[Departure]:
-    """Yield how far pressed nodes slide, and how much force is beyond the other side. Collective.
+    """Yield how far pressed nodes slide, and which force is beyond the other side. Collective.
 
     The jumps (n, d) [length] count from the pairing at the displacement `paired_u` (nodes, d)
     [length], and `force` (n,) are the normal forces at nodes.
