@@ -1,4 +1,4 @@
-"""The discretised contact problem: surfaces as they are paired now, their operators, one solve."""
+"""The discretised contact problem: paired surfaces, their operators, and one solve."""
 
 from __future__ import annotations
 
@@ -55,20 +55,21 @@ Solution = TypeVar("Solution", bound=ContactSolution)
 
 
 class ContactSystem(PetscOwner):
-    """A discretised contact problem: K, B on the surfaces as they are paired now, and their solves.
+    """A discretised contact problem: K, B on the surfaces as they are paired, and their solves.
 
-    A problem uses one such system for all its solves. For nonlinear bodies K is the present
+    A problem uses a single system for all its solves. For nonlinear bodies K is the present
     tangent. Where surfaces are paired again, B and A change, and tractions and slip are kept.
 
     Attributes:
         stiffness: K with the springs that fix bodies, which is factored for A (`compliance`).
         slides_far: whether at least one pair has finite sliding.
         depends_on_start: whether slip bounds depend on the pressure, and solutions on the start.
-        friction: evaluates slip bounds, and users' fields (its `values`), at displacement nodes.
-        guess: displacements of earlier solves with this B, for first guesses of iterative solves.
-        unknowns: the displacement of nonlinear bodies, or all unknowns of a mixed space, at which
-            solves start and end, owned by the user; None for linear bodies.
-        frames_at_rest: frames of bodies at rest, which finite sliding moves; None: there are none.
+        secondary: for each pair the mesh of its secondary side, for the fields of solutions.
+        friction: evaluates the user's slip bounds and gaps (by its `values`) at nodes of V.
+        guess: displacements of earlier solves, from which iterative solves with K start.
+        unknowns: the user's Function with the displacement of nonlinear bodies (or all unknowns of
+            their mixed space), at which solves start and end; None for linear bodies.
+        frames_at_rest: frames of undeformed bodies, which finite sliding moves; None: no frames.
         timings: phase -> seconds of pairing and factoring since the last solve.
     """
 
@@ -78,13 +79,12 @@ class ContactSystem(PetscOwner):
         """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective."""
         free_unused(linear.comm)  # objects of earlier problems that were not destroyed
         self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
-        self._noticed: set[scene_checks.Limit] = set()  # to which solutions have come near
+        self._noticed: set[scene_checks.Limit] = set()  # limits of theory that the log has named
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
         self.depends_on_start = any(real(pair.friction.terms.coefficient) != 0.0 for pair in pairs)
         self.unknowns: fem.Function | None = None
         self.timings: dict[str, float] = {}
-        # the bodies with the choice of the solver for K, and the obstacles
         V, prescribed = linear.V, linear.prescribed_displacements
         if linear.comm.rank == 0:
             warn_of_slow_blas()
@@ -93,7 +93,6 @@ class ContactSystem(PetscOwner):
         self.stiffness = HeldStiffness(linear, next(cell_tags, None), request)
         self.bodies = self.stiffness.bodies
         self.obstacles = Obstacles(V, pairs)
-        # the surfaces as they are paired in the undeformed bodies, and B
         with timed("pairing", self.timings):
             operators = pair_all_surfaces(V, prescribed, pairs, axisymmetric=linear.axisymmetric)
             self.secondary = Surface.of_pairs(fem.Function(V), pairs)
@@ -117,7 +116,7 @@ class ContactSystem(PetscOwner):
     def _factored(self) -> ContactCompliance:
         """Assemble and factor K, and return A. Collective."""
         solver, springs = self.stiffness.factored(self.timings)
-        with timed(self.stiffness.method, self.timings):  # for saddle points also that of the bound
+        with timed(self.stiffness.method, self.timings):  # in a mixed space A prepares error bounds
             return ContactCompliance(self.jump, solver, springs)
 
     def destroy(self) -> None:
@@ -141,18 +140,18 @@ class ContactSystem(PetscOwner):
         ]
 
     def added_gaps(self) -> list[Array]:
-        """Return the present gaps (n,) [length] that users add at each pair's nodes. Collective."""
+        """Return the gaps (n,) [length] of users and bolts at each pair's nodes. Collective."""
         gaps = []
         for pair, operators in zip(self.pairs, self.jump.pairs, strict=True):
             gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
             gaps.append(self.friction.values.values_at(gap, operators.nodes, name)[:, 0])
-        # the cut of a bolt may overlap by the motion of its sides along the cut's mean normal
+        # the sides of a cut bolt may overlap by their relative motion along the cut's mean normal
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
             gaps[number] += float(axis @ self.obstacles.motions[number][:, 3])
         return gaps
 
     def update_gaps(self) -> None:
-        """Add the present gaps of users, which must be finite, to B's distances. Collective."""
+        """Set the present `added_gaps`, which must be finite, in B. Collective."""
         gaps = self.added_gaps()
         with errors_on_all_ranks(self.comm):
             for pair, gap in zip(self.pairs, gaps, strict=True):
@@ -165,7 +164,7 @@ class ContactSystem(PetscOwner):
         self.jump.set_gaps([replace(operators, added_gap=gap) for operators, gap in pairs])
 
     def align_tangents(self, bounds: Sequence[NodalBounds]) -> None:
-        """Rotate the tangential rows of B to the principal axes of the slip bounds. Collective."""
+        """Turn the tangents of B to the axes of the friction ellipses, if any. Collective."""
         jump = self.jump.along_axes(bounds)
         if jump is not self.jump:
             self._replace_jump(jump, self._state.with_tangents_of(jump))
@@ -179,24 +178,24 @@ class ContactSystem(PetscOwner):
 
     @property
     def state(self) -> StepState:
-        """The present state of the process. Not collective."""
+        """The present state of the process, with the user's `unknowns`. Not collective."""
         if self.unknowns is None:
             return self._state
         return replace(self._state, unknowns=self.unknowns.x.array.copy())
 
     @state.setter
     def state(self, state: StepState) -> None:
-        """Continue from a state on the present B. Not collective."""
+        """Continue from a state on the present B, also in the user's `unknowns`. Not collective."""
         self._state = state
         if self.unknowns is not None and state.unknowns is not None:
             self.unknowns.x.array[:] = state.unknowns
 
     def return_to(self, state: StepState) -> None:
-        """Return to a former state; K and the user's obstacles stay as they are. Collective."""
+        """Return to a former state and its B; K and the user's obstacles stay. Collective."""
         self.state = state
         if state.jump is not self.jump:
-            # the former B was destroyed; it is made again with obstacles where they were, since
-            # `_replace_jump` records their distances
+            # the former B was destroyed, and is made again; obstacles are meanwhile where they were
+            # in that state, since `_replace_jump` records their distances
             present_motions = self.obstacles.motions
             self.obstacles.place(state.motions)
             jump = JumpOperator(self.linear, state.jump.pairs, state.jump.frames)
@@ -204,7 +203,7 @@ class ContactSystem(PetscOwner):
             self.obstacles.place(present_motions)
 
     def begin_solve(self) -> None:
-        """Pair as after the last accepted step, obstacles moved; go to `at_start`. Collective."""
+        """Begin a user's solve: pair as at the accepted step, and go to `at_start`. Collective."""
         self.pair_where_changed(self._state.accepted.configuration)
         self.state = self.state.at_start(self.depends_on_start)
 
@@ -214,7 +213,7 @@ class ContactSystem(PetscOwner):
         """Pair surfaces again where obstacles have moved, or at other displacements. Collective.
 
         Pairs with finite sliding are paired at `configuration` [length], others at `geometry`;
-        None: where they are paired now. After a `PairingError` all are paired as they were.
+        None: where they are already. After a `PairingError` all are paired as before the call.
         """
         state, moves, finite = self.state, self.record_motions(), self._finite_sliding
         configuration = state.configuration if configuration is None else configuration
@@ -230,11 +229,11 @@ class ContactSystem(PetscOwner):
         self._state = replace(self._state, configuration=configuration, geometry=geometry)
 
     def record_motions(self) -> Mask:
-        """Record the motions of obstacles; return the mask (pairs,) of changed distances.
+        """Record the motions of obstacles in the state; return which distances have changed.
 
-        If the distances since the last pairing have changed, but not the motion, the user has
-        changed the obstacle without `move_to`. With friction the log warns that this is no part of
-        the slip, unless the obstacle has Constants, which users may change. Collective.
+        The mask (pairs,) tells for which pairs distances differ from those at the last pairing. If
+        they do although the motion is the same, the user has changed the obstacle itself. With
+        friction the log warns that this is no slip, unless it has Constants. Collective.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
         same_place = (self._state.motions == motions).all(axis=(1, 2))
@@ -270,7 +269,7 @@ class ContactSystem(PetscOwner):
             self._replace_jump(jump, self._state.paired_at(jump, u, since_accepted))
 
     def _replace_jump(self, jump: JumpOperator, state: StepState) -> None:
-        """Replace B and the state, and drop what depends on the old B. Collective."""
+        """Replace B and the state; destroy the old B and what depends on it. Collective."""
         before, self.jump, self._state = self.jump, jump, state
         self.linear.frames = jump.frames
         self.guess.newest = None
@@ -280,14 +279,14 @@ class ContactSystem(PetscOwner):
         before.destroy()
 
     def history_of_solve(self) -> SlipHistory:
-        """Return the slip history with the obstacles' motion in its origin. Collective."""
+        """Return the slip history; this step's motion of obstacles moves its origin. Collective."""
         state = self._state
         jumps, _ = self.obstacles.jumps(state, state.accepted.motions, state.motions)
         shift = np.where(self.jump.is_tangential, jumps, 0.0)
         return replace(state.history, origin=state.history.origin + shift)
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
-        """Return the gaps (pairs, owned nodes) [length], NaN without multipliers. Collective."""
+        """Return gaps (pairs, owned nodes) [length], NaN where N has no row. Collective."""
         jump = self.jump
         return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
 
@@ -296,14 +295,15 @@ class ContactSystem(PetscOwner):
         return self._at_nodes(self._state.multipliers / self.jump.stress_scale, 0.0)
 
     def _at_nodes(self, values: Array, default: float) -> Array:
-        """Return values (pairs, owned nodes) of normal rows (on sharp edges one), from (size,)."""
+        """Return (pairs, owned nodes) with the values (size,) of normal rows, else `default`."""
         result = np.full((len(self.pairs), self.linear.V.dofmap.index_map.size_local), default)
+        # on a sharp edge, where a node has several normal rows, the last of them counts
         for of_pair, rows in zip(result, self.jump.own_rows, strict=True):
             of_pair[rows.operators.nodes[rows.operators.normal_node]] = values[rows.normal]
         return result
 
     def contact_forces(self, multipliers: Array | None = None) -> Array:
-        """Return B'lambda [force] of owned unknowns, zero where prescribed. Collective."""
+        """Return B'lambda [force], 0 where prescribed; by default of the state. Collective."""
         multipliers = self._state.multipliers if multipliers is None else multipliers
         return np.array(self.jump.contact_force(multipliers).array)
 
@@ -325,11 +325,11 @@ class ContactSystem(PetscOwner):
 
     @property
     def displacement(self) -> fem.Function:
-        """The displacement [length] of the last solution, or of nonlinear bodies the present u."""
+        """The displacement [length] of the last solution; `TangentProblem` takes the present u."""
         return self.solution_for("update_geometry() without a displacement").fields.u
 
     def rows(self, units: Units | None) -> list[Row]:
-        """Return the rows of the table that `print(problem)` shows. Not collective."""
+        """Return the rows of the table of bodies, surfaces and solver for K. Not collective."""
         return [
             ("bodies", str(self.stiffness)),
             *self.summary.rows(units),
@@ -338,7 +338,7 @@ class ContactSystem(PetscOwner):
         ]
 
     def law_values(self, curves: Sequence[CurveAtNodes]) -> list[Array]:
-        """Return the present gaps, slip bounds and friction curves at contact nodes. Collective."""
+        """Return present gaps, slip bounds and values of curves, to detect changes. Collective."""
         result = self.added_gaps()
         for bounds in self.slip_bounds():
             result += [bounds.constant, bounds.coefficient, bounds.limit]
@@ -348,7 +348,7 @@ class ContactSystem(PetscOwner):
             return result + [pressed_values(*curve) for curve in curves]
 
     def advance_material(self, solution: StepSolution) -> None:
-        """Advance the history of the material, if there is one, to a solution. Collective."""
+        """Advance the material's history to a solution; linear bodies have none. Collective."""
 
     def check_inputs(self, purpose: str) -> None:
         """Check that loads, laws, gaps and obstacles are those of the last solve. Collective.
@@ -379,11 +379,11 @@ class ContactSystem(PetscOwner):
             self.update_gaps()
 
     def checked(self, solution: Solution) -> Solution:
-        """Return a final solution, with the status OUTSIDE_THEORY if it left theory. Collective.
+        """Return the solution of a user's solve, OUTSIDE_THEORY if it left theory. Collective.
 
-        Prescribed overlaps and the reason of a failure are logged. Solutions that have a reason
-        (`sliding`) already are not checked. With finite sliding, only the last configuration is to
-        be checked: in earlier ones, surfaces from afar may lie deep inside other bodies.
+        Prescribed overlaps and the reason of a failure are logged. Solutions whose failure has a
+        reason (`sliding`) already are not checked. Only the last configuration of finite sliding is
+        checked: in earlier ones, surfaces from afar may lie deep inside other bodies.
         """
         scene_checks.hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
         status = solution.status
@@ -444,13 +444,13 @@ class ContactSystem(PetscOwner):
         with timed("iteration", timings):
             dual_solution = solve(dual, state.multipliers, options, observe)
         with timed("fields", timings):
-            sides = self.secondary, self.bodies
-            evaluation, history = evaluate(dual, *sides, dual_solution, estimate=options.balanced)
+            scene = self.secondary, self.bodies
+            evaluation, history = evaluate(dual, *scene, dual_solution, estimate=options.balanced)
         # what the state keeps of this solve, for `accept`, later checks and derivatives
         status = status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = self._checked_curves(dual, dual_solution)
         load, laws = self.linear.f.x.array.copy(), self.law_values(curves)  # for `check_inputs`
-        sliding = ""  # why a body slides without end
+        sliding = ""  # for messages: which body slides without end, and why
         if dual_solution.deficit is not None and dual.equilibrium is not None:
             sliding = dual.equilibrium.explain(dual_solution.deficit)
         motions = self.obstacles.motions
@@ -486,7 +486,7 @@ class ContactSystem(PetscOwner):
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Return each friction curve with a solution's pressures and slips, checked. Collective."""
+        """Return friction curves with a solution's pressures and slips, checked. Collective."""
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
         if not isinstance(cones, FrictionCones) or not cones.curves.of_discs:
@@ -504,15 +504,15 @@ class ContactSystem(PetscOwner):
     ) -> DualProgram:
         """Return the dual problem; a `MechanismError` gets its motion as a Function. Collective.
 
-        Where contact alone holds a body, no coefficient of friction may depend on the slip: for a
-        block held by viscous friction, the solver found no multipliers within minutes.
+        Where contact or soft springs hold a body, no coefficient of friction may depend on the
+        slip: for a block held by viscous friction, the solver finds no multipliers within minutes.
         """
         try:
             dual = DualProgram(self.compliance, self.guess, bounds, history, tools)
         except MechanismError as error:
             motion = with_owned_values(self.linear.V, error.motion, "motion")
             (greatest,) = largest_abs(self.comm, np.linalg.norm(owned_values(motion), axis=1))
-            motion.x.array[:] /= greatest or 1.0  # zero where tools move
+            motion.x.array[:] /= greatest or 1.0  # it is zero if tools alone move
             error.motion = motion
             raise
         for pair in () if dual.equilibrium is None else self.pairs:
@@ -527,7 +527,7 @@ class ContactSystem(PetscOwner):
 
 
 def inputs_changed(purpose: str) -> ContactError:
-    """Return the error to raise if inputs have changed since a solution for some purpose."""
+    """Return the error to raise if inputs have changed since the solution that a purpose needs."""
     return ContactError(
         "loads, prescribed values, slip bounds, gaps, coefficients or places of obstacles have "
         f"changed since the solution that {purpose} is for: call solve()."

@@ -1,4 +1,4 @@
-"""Finite sliding: surfaces are paired in the configuration of the solution."""
+"""Finite sliding: surfaces are paired where the solution displaces them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ANDERSON_DEPTH = 3
 DEPENDENT = 1e-3
 
 #: Two configurations are alike, and their difference tells how u changes with w, if at most this
-#: part of the contact force is at nodes that are open in one of them.
+#: part of the normal forces is at nodes that are open in one of them.
 ALIKE = 0.1
 
 #: Least distance from 0 and from 1 of two estimated fractions: the part of a step between
@@ -67,18 +67,18 @@ class Configuration:
     Attributes:
         w: displacement of the surfaces [length], with ghosts.
         u: displacement of the solution [length], with ghosts.
-        loads: (pairs, owned nodes) normal force of the solution at each node; 0 at open nodes.
-        forces: contact forces of the solution [force] at owned unknowns.
+        normal_forces: (pairs, owned nodes) normal forces of the solution [force]; 0 at open nodes.
+        forces: (owned unknowns,) contact forces of the solution [force], in frames of bodies.
         gaps: (pairs, owned nodes) gaps of the solution [length], NaN without multipliers.
-        distance: |u - w|^2 [length^2].
+        square: |u - w|^2 [length^2].
     """
 
     w: Array
     u: Array
-    loads: Array
+    normal_forces: Array
     forces: Array
     gaps: Array
-    distance: float
+    square: float
 
 
 class FiniteSliding:
@@ -92,7 +92,7 @@ class FiniteSliding:
 
     u(w) has kinks where the contact passes from node to node: only differences of configurations
     that are `ALIKE` are used, and where a step crosses a kink and should not have, the next
-    configuration lies on the step. Where bodies snap, u(w) = w has an unstable solution, or none:
+    w lies between both solutions u. Where bodies snap, u(w) = w has an unstable solution, or none:
     residuals u - w grow, and the accelerated step would go against them. Then the step w <- u(w) is
     taken, until bodies reach another equilibrium, and earlier configurations are forgotten. If it
     leads back to where such a step led before, the equilibrium is stable, and bodies do not snap.
@@ -104,39 +104,39 @@ class FiniteSliding:
     """
 
     def __init__(self, contact: ContactSystem) -> None:
-        """Begin with the configuration in which the surfaces are paired now. Not collective."""
+        """Begin with the configuration in which the surfaces are paired. Not collective."""
         self._contact = contact
         self._path: list[Configuration] = []
-        self._followed: Array | None = None  # u of the last step that followed a snap
-        self._grows = 0  # number of last configurations in which |u - w| has grown
+        self._followed: Array | None = None  # u to which the last step of a snap has gone
+        self._grows = 0  # number of successive configurations in which |u - w| has grown
         self.configurations, self.snaps, self.error = 1, False, math.inf
 
     def observe(self, u: fem.Function) -> None:
         """Record the solution u in the present configuration; estimate its error. Collective."""
         contact, w = self._contact, self._contact.state.configuration.x.array.copy()
         forces, gaps = contact.contact_forces(), contact.gaps_at_nodes(u)
-        (distance,) = self._products(u.x.array - w, [u.x.array - w])
+        (square,) = self._products(u.x.array - w, [u.x.array - w])
         self.error = math.inf
         if self._path:
             former = self._path[-1]
-            self._grows = self._grows + 1 if distance > former.distance else 0
+            self._grows = self._grows + 1 if square > former.square else 0
             change = self._relative_change(former, forces, gaps, u)
-            # u - w relative to the last step of w, with which forces and gaps have changed so; this
-            # is large if Anderson's acceleration stays where it is. The sum of all further changes
-            # is change (ratio + ratio^2 + ...)
+            # the ratio of |u - w| to the last step of w, which has caused the change; it is large
+            # if Anderson's acceleration hardly moves w. The sum of all further changes is
+            # change (ratio + ratio^2 + ...)
             (step,) = self._products(w - former.w, [w - former.w])
-            ratio = _root_of_ratio(distance, max(step, ROUNDING**2 * distance))
+            ratio = _root_of_ratio(square, max(step, ROUNDING**2 * square))
             ratio = max(ratio, LEAST_FRACTION)
             self.error = change * ratio / (1.0 - _inside(ratio))
-        loads = contact.normal_forces_at_nodes()
-        self._path.append(Configuration(w, u.x.array.copy(), loads, forces, gaps, distance))
+        normal_forces = contact.normal_forces_at_nodes()
+        self._path.append(Configuration(w, u.x.array.copy(), normal_forces, forces, gaps, square))
         text = "finite sliding: configuration %d, error of forces or gaps about %.0e"
         log(contact.comm, text, self.configurations, self.error)
 
     def _relative_change(
         self, former: Configuration, forces: Array, gaps: Array, u: fem.Function
     ) -> float:
-        """Return the larger relative change, of forces or of gaps, since a configuration.
+        """Return the larger relative change, of forces or of gaps, since a `former` configuration.
 
         Forces are compared in the Euclidean norm, gaps by their largest change (see `SMALL_STEP`).
         Changes within the rounding of stresses and positions count as zero. Collective.
@@ -191,12 +191,12 @@ class FiniteSliding:
     def _part_of_last_motion(
         self, values: Array, before: fem.Function, accepted: fem.Function
     ) -> float:
-        """Return the change of prescribed values, as a multiple of the last step's. Collective."""
+        """Return the multiple of their last motion by which free bodies go on. Collective."""
         prescribed = self._contact.linear.prescribed
         begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
         last_step, present_step = reached - begin, values - reached
         present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
-        # the present change is projected on the last one
+        # the multiple is that of prescribed values: their change, projected on the last change
         products = [float(last_step @ last_step), float(last_step @ present_step)]
         square, product = reduce_array(self._contact.comm, products)
         return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
@@ -225,7 +225,7 @@ class FiniteSliding:
         if not alike:
             return u
         accelerated = self._accelerated([*alike[-ANDERSON_DEPTH:], newest])
-        # does the accelerated step go against the residual, and the residual back to a former snap?
+        # does the accelerated step go against the residual, and the residual to where a snap went?
         followed = w if self._followed is None else self._followed
         against, back = self._products(residual, [w - accelerated, followed - w]) > 0.0
         if self._grows >= GROWING and against and not back:
@@ -252,14 +252,14 @@ class FiniteSliding:
 
     def _alike(self, configuration: Configuration) -> bool:
         """Return whether a configuration is like the last one; see `ALIKE`. Collective."""
-        loads = self._path[-1].loads + configuration.loads
-        changed = loads[(self._path[-1].loads > 0.0) != (configuration.loads > 0.0)]
-        sums = [float(changed.sum()), float(loads.sum())]
-        changed_load, whole_load = reduce_array(self._contact.comm, sums)
-        return bool(changed_load <= ALIKE * whole_load)
+        newest, earlier = self._path[-1].normal_forces, configuration.normal_forces
+        differs, forces = (newest > 0.0) != (earlier > 0.0), newest + earlier
+        sums = [float(forces[differs].sum()), float(forces.sum())]
+        changed_force, whole_force = reduce_array(self._contact.comm, sums)
+        return bool(changed_force <= ALIKE * whole_force)
 
     def _products(self, x: Array, vectors: list[Array]) -> Array:
-        """Return the inner products of x with other displacements, all with ghosts. Collective."""
+        """Return inner products of x with `vectors`, displacements with ghosts. Collective."""
         owned = len(self._contact.linear.prescribed_displacements)
         return reduce_array(self._contact.comm, [float(x[:owned] @ y[:owned]) for y in vectors])
 
@@ -273,7 +273,7 @@ def solve_with_finite_sliding(
     """Repeat `ContactSystem.solve` of linear bodies until configurations converge. Collective.
 
     The result is the solution in the last configuration, with the iterations, products and seconds
-    of all; its text `sliding` says why configurations do not converge.
+    of all of them; its text `sliding` says why configurations did not converge, if so.
     """
     sliding = FiniteSliding(contact)
     sliding.pair_first_configuration()
@@ -329,7 +329,7 @@ def _inside(fraction: float) -> float:
 
 
 def _root_of_ratio(square: float, reference: float, rounding: float = 0.0) -> float:
-    """Return sqrt(square / reference), or 0 if the square is at most the square `rounding`."""
+    """Return sqrt(square / reference) of two squares, or 0 if `square` is at most `rounding`."""
     if square <= rounding:
         return 0.0
     return math.sqrt(square / reference) if reference > 0.0 else math.inf

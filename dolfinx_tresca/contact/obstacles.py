@@ -1,4 +1,4 @@
-"""Rigid obstacles that move between solves."""
+"""Rigid obstacles and cut bolts of a problem: their motions, and the forces that hold them."""
 
 from __future__ import annotations
 
@@ -31,37 +31,37 @@ FLAT = 1e-6
 class Obstacles:
     """The rigid obstacles of a problem, and their distances when the surfaces were paired.
 
-    The two sides of a cut bolt have a motion, too: the secondary side, relative to the primary one.
-    `extent` is the largest absolute coordinate of the mesh on all ranks [length].
+    A cut bolt (`Preload`) has a motion, too: that of its secondary side relative to its primary
+    side. `extent` is the largest absolute coordinate of the mesh on all ranks [length].
     """
 
     def __init__(self, V: Any, pairs: Sequence[ContactPair]) -> None:
-        """Find the obstacles of the pairs. Collective."""
+        """Keep the obstacles of the pairs, and measure the mesh. Collective."""
         self._V, self._pairs = V, pairs
         self._obstacles = [pair.obstacle for pair in pairs]
         self._at_pairing: list[Array] = []
-        # motions of bolts; the entries of obstacles are not read
-        self._of_bolts = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
+        # (pairs, 3, 4) motions of bolts; the entries of obstacles are not read
+        self._bolt_motions = np.tile(np.eye(3, 4), (len(pairs), 1, 1))
         (self.extent,) = largest_abs(V.mesh.comm, V.mesh.geometry.x)
 
     @property
     def motions(self) -> Array:
         """(pairs, 3, 4) `RigidMotion.matrix` of each pair's obstacle or bolt; else identity."""
-        motions = self._of_bolts.copy()
+        motions = self._bolt_motions.copy()
         for number, obstacle in enumerate(self._obstacles):
             if obstacle is not None:
                 motions[number] = obstacle.motion.matrix
         return motions
 
     def place(self, motions: Array, *, only_held_by_forces: bool = False) -> None:
-        """Place bolts and obstacles, all or only those that forces hold, by their `motions`."""
-        self._of_bolts = motions.copy()
+        """Move all bolts, and all obstacles or only those that forces hold, to their `motions`."""
+        self._bolt_motions = motions.copy()
         for obstacle, matrix in zip(self._obstacles, motions, strict=True):
             if obstacle is not None and (obstacle.given_forces or not only_held_by_forces):
                 obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
-        """Return the `motions` of the obstacles at a fraction of a load step, from 0 to 1."""
+        """Return obstacles' `motions` at a fraction of the way from those `before` to `after`."""
         result = np.array(after)
         for place, obstacle, start, end in zip(result, self._obstacles, before, after, strict=True):
             if obstacle is not None and fraction < 1.0:
@@ -97,7 +97,7 @@ class Obstacles:
         return result
 
     def check_no_tools(self, purpose: str) -> None:
-        """Check that neither obstacles nor bolts have given forces. Not collective."""
+        """Check that there are no tools: obstacles and bolts with given forces. Not collective."""
         for pair in self._pairs:
             given = pair.obstacle is not None and pair.obstacle.given_forces
             if given or isinstance(pair.friction, Preload):
@@ -107,9 +107,9 @@ class Obstacles:
                 )
 
     def tools(self, jump: JumpOperator, bodies: Bodies, begun: bool) -> Tools | None:
-        """Return obstacles held by forces, and bolts that are pulled; None without. Collective.
+        """Return free motions of obstacles held by forces, and of bolts; None: none. Collective.
 
-        The first accepted load step locks the bolts: the process has then `begun`.
+        A bolt is pulled until the first load step is accepted (`begun`), and locked after that.
         """
         motions: list[FreeMotion] = []
         bolts = {} if begun else self.bolts(jump)
@@ -133,7 +133,7 @@ class Obstacles:
     def _motions_of(
         self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator
     ) -> list[FreeMotion]:
-        """Return the free motions of an obstacle of the pairs with some numbers. Collective."""
+        """Return the free motions of an obstacle, which is in the pairs `numbers`. Collective."""
         names = ("y",) if jump.system.axisymmetric else FREEDOMS[self._V.mesh.geometry.dim]
         free = names if given.free is None else given.free
         if not set(free) <= set(names):
@@ -146,7 +146,7 @@ class Obstacles:
         load, result = np.append(given.force(), given.moment()), []
         for name in free:
             turns = name.startswith("r")
-            # a rotation with the amplitude 1 moves the farthest contact node by a length of 1
+            # a rotation with the amplitude 1 moves the farthest contact node by a length of about 1
             direction = np.eye(6)[FREEDOMS[3].index(name)] / (arm if turns and arm else 1.0)
             label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
             force = float(load @ direction)
@@ -154,11 +154,11 @@ class Obstacles:
         return result
 
     def note_pairing(self, jump: JumpOperator) -> None:
-        """Record distances and normals at the nodes of a newly computed B. Collective."""
+        """Record distances and normals at the nodes of a new B, for `changed`. Collective."""
         self._at_pairing = self._distances(jump)
 
     def _distances(self, jump: JumpOperator) -> list[Array]:
-        """Return distances and normals (n, 4) at each pair's undeformed nodes. Collective."""
+        """Return distances and normals (n, 4) at pairs' undeformed nodes, or (0, 4). Collective."""
         has_obstacle = any(obstacle is not None for obstacle in self._obstacles)
         x = self._V.tabulate_dof_coordinates() if has_obstacle else np.zeros((0, 3))
         with errors_on_all_ranks(self._V.mesh.comm):
@@ -179,10 +179,10 @@ class Obstacles:
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
         """Return the largest rates (pairs,) at which distances change with a control. Collective.
 
-        A change of a normal counts times the extent of the mesh. None: a direction along which all
-        obstacles that depend on the control change. One that reads a Function raises an error.
+        A change of a normal counts times the extent of the mesh. The `direction` is that in which
+        the control's values change; None: all of them do. Obstacles must not read Functions.
         """
-        if direction is None:  # irrational ratios: changes by several values do not cancel
+        if direction is None:  # irrational ratios: effects of several values do not cancel
             direction = np.sqrt(1.0 + np.arange(values_of(control).size))
         comm, scale = self._V.mesh.comm, np.append(1.0, np.full(3, self.extent))
         rates = central_differences(
@@ -198,7 +198,7 @@ class Obstacles:
         return np.array(largest_abs(comm, *np.split(rates[0], ends)))
 
     def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
-        """Return the displacement [length] of an obstacle's points that end at displaced nodes.
+        """Return the displacement [length] of an obstacle's points that end at nodes moved by u.
 
         A point of the obstacle goes from M_0 X to M_1 X as its motion changes from `before`, M_0,
         to `after`, M_1. With M_1 X = x at a node displaced by u, it moves by x - M_0 M_1^-1 x.
@@ -215,8 +215,8 @@ class Obstacles:
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
         """Return B times the displacement of obstacles (size,), and its largest component.
 
-        This is the displacement at the nodes as the obstacles' `motions` change from `before` to
-        `after`; its largest component [length] is that on this rank. Collective.
+        This is the displacement at the nodes of V as the obstacles' `motions` change from `before`
+        to `after`; its largest component [length] is that on this rank. Collective.
         """
         jump = state.jump
         jumps, largest = np.zeros(len(jump.gap)), 0.0

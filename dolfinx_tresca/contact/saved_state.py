@@ -35,17 +35,17 @@ FORMAT = "dolfinx_tresca state 8"
 PLACES = "places"
 
 #: Two places count as the same if their distance is at most this fraction of the extent of all
-#: nodes of the table. (Positions in other units, or on other ranks, differ by rounding only.)
+#: nodes of the table. (Positions that are computed on other ranks differ by rounding only.)
 SAME_PLACE = 1e-9
 
 
 def write_state(
     path: Path, state: StepState, step: int = 0, material: Sequence[fem.Function] = ()
 ) -> None:
-    """Write the state from which a solve begins; see `StepState.at_start`. Collective.
+    """Write a state from which a solve begins (`StepState.at_start`). Collective.
 
-    Multipliers and the origin of friction are written as a pressure and two vectors for each smooth
-    patch of the surface to which a node belongs, since tangents are arbitrary; no last solution.
+    Multipliers and the slip origin are written as a pressure and two vectors for each smooth patch
+    of the surface to which a node belongs, since tangents are arbitrary. No solution is written.
     """
     jump, history, accepted = state.jump, state.history, state.accepted
     places = surroundings(jump.system.V)
@@ -70,13 +70,13 @@ def write_state(
     for k, function in enumerate([*_functions_of_unknowns(state), *material]):
         columns[f"function {k}/{PLACES}"] = surroundings(function.function_space)
         columns[f"function {k}/values"] = owned_values(function)
-    ranks, laws = jump.comm.gather(columns), _laws(jump)
+    gathered, laws = jump.comm.gather(columns), _laws(jump)
     with errors_on_all_ranks(jump.comm):
-        if ranks is not None:
+        if gathered is not None:
             content: dict[str, Any] = {"format": FORMAT, "laws": laws, "motions": accepted.motions}
             content["numbers"] = np.array([history.dissipation, history.begun, step])
             for name in columns:
-                content[name] = np.concatenate([of_rank[name] for of_rank in ranks])
+                content[name] = np.concatenate([of_rank[name] for of_rank in gathered])
             with atomic_write(path) as new, new.open("wb") as stream:
                 np.savez(stream, **content)
 
@@ -85,14 +85,14 @@ class SavedState:
     """A file that `write_state` has written.
 
     Attributes:
-        step: the number that was saved.
+        step: the user's number of the load step.
         motions: (pairs, 3, 4) places of the obstacles at the accepted step.
         configuration, geometry: the attributes of `StepState`.
         material: the saved Functions of the material's history.
     """
 
     def __init__(self, path: Path, present: StepState, material: Sequence[fem.Function]) -> None:
-        """Read a file for a problem in a state; `material` gives the spaces in it. Collective."""
+        """Read a file for a problem; Functions `material` are on the saved spaces. Collective."""
         system, pairs = present.jump.system, len(present.jump.pairs)
         self._path, self._comm, self._system = path, system.comm, system
         unknowns = _functions_of_unknowns(present)
@@ -117,7 +117,7 @@ class SavedState:
         self._unknowns, self.material = functions[: len(unknowns)], functions[len(unknowns) :]
 
     def _check_sizes(self, pairs: int, components: list[int]) -> None:
-        """Check that the file has the pairs and the components of Functions of the problem."""
+        """Check numbers of pairs, and of components of each Function, on the first rank."""
         saved = [
             values.shape[1]
             for name, values in self._content.items()
@@ -134,7 +134,7 @@ class SavedState:
 
     def _rows(self, table: str, places: Array) -> dict[str, Array]:
         """Return column -> values (n, k) of a table at the `surroundings` of nodes. Collective."""
-        # the first rank finds the rows of the nodes of all ranks, and sends each rank its own rows
+        # the first rank finds the rows of all ranks' nodes, and sends each rank its own rows
         places_of_ranks = self._comm.gather(places)
         tables: list[dict[str, Array]] = [{} for _ in range(self._comm.size)]
         with errors_on_all_ranks(self._comm):
@@ -202,7 +202,7 @@ class SavedState:
 
 
 def _functions_of_unknowns(state: StepState) -> list[fem.Function]:
-    """Return the displacement of nonlinear bodies, or all parts of a mixed space. Collective."""
+    """Return copies of nonlinear bodies' displacement or mixed unknowns, if any. Collective."""
     if state.unknowns is None:
         return []
     system = state.jump.system
@@ -238,7 +238,7 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def _laws(jump: JumpOperator) -> list[str]:
-    """Return the kind of law of each pair, which determines its multipliers. Collective."""
+    """Return the kind of law of each pair as a clause; kinds differ in multipliers. Collective."""
     tangential_rows = reduce_array(jump.comm, np.array([len(pair.tangents) for pair in jump.pairs]))
     return [
         "is bonded" if pair.bonded else "has friction" if rows else "has no friction"
@@ -248,7 +248,7 @@ def _laws(jump: JumpOperator) -> list[str]:
 
 def _contact_places(pair: PairOperators, places: Array) -> Array:
     """Return rows (n, 2 d + 1) that identify contact nodes: `surroundings` and a smooth patch."""
-    # a node has an entry for each of its patches, one after the other: start is that of its first
+    # a node has an entry for each of its patches, one after the other, from `start` on
     _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
     return np.column_stack([places[pair.nodes], np.arange(len(pair.nodes)) - start[row]])
 
@@ -257,7 +257,7 @@ def surroundings(V: Any) -> Array:
     """Return two positions (n, 2 d) that identify each own node or point of this rank. Collective.
 
     They are its position and the mean of the midpoints of the cells around it, which distinguishes
-    nodes of bodies that touch. Numbers of nodes depend on the partition, as of refined meshes.
+    nodes of bodies that touch. (Numbers of nodes depend on the partition of the mesh.)
     """
     dim, cells = V.mesh.geometry.dim, V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     points = V.tabulate_dof_coordinates()[:, :dim]
@@ -270,7 +270,7 @@ def surroundings(V: Any) -> Array:
 
 
 def same_nodes(saved: Array, asked: Array) -> Indices | None:
-    """Return for each node its row in a file, by `surroundings`; None if the nodes differ."""
+    """Return for each node `asked` its row (n,) in a file by `surroundings`; None: nodes differ."""
     if saved.shape != asked.shape:
         return None
     accuracy = SAME_PLACE * float(np.ptp(asked, axis=0).max() if len(asked) > 1 else 1.0)

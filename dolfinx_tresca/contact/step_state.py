@@ -1,4 +1,4 @@
-"""The state of a process of load steps."""
+"""The state of a process of load steps, as immutable records."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class AcceptedStep:
     Attributes:
         multipliers: (size,) multipliers to which solves return if their result may depend on them.
         unknowns: `StepState.unknowns` that belong to these multipliers.
-        displacement: displacement [length] from which slip counts with finite sliding; None: zero.
-        motions: (pairs, 3, 4) positions of rigid obstacles, from which slip counts.
+        displacement: u of the step [length], from which slip counts with finite sliding; None: 0.
+        motions: (pairs, 3, 4) `Obstacles.motions` of the step, from which slip counts.
         configuration: displacement [length] at which pairs with finite sliding were paired; None:
             solves begin with the present pairing.
-        before: displacement [length] of the step before; None: there is none, or it is not known.
+        before: u of the step before [length]; None: there is none, or it is not known.
     """
 
     multipliers: Array
@@ -48,12 +48,12 @@ class StepSolution:
     """A solution, which `StepState.after_solution` can make an accepted step.
 
     Attributes:
-        multipliers: (size,) solution of the dual problem.
+        multipliers: (size,) solution of the dual problem `dual`.
         history: slip and dissipation of the accepted steps and of this solution.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
-        load, laws: load [force] and `ContactSystem.law_values` of this solve, to detect changes.
+        load, laws: f and `ContactSystem.law_values` in this solve, to detect later changes.
         obstacle_moves: (pairs,) whether the pair's obstacle moves in this load step.
-        motions: (pairs, 3, 4) places of obstacles in the solution, as `RigidMotion.matrix`.
+        motions: (pairs, 3, 4) `Obstacles.motions` in the solution, where forces have moved tools.
     """
 
     status: ContactStatus
@@ -72,7 +72,7 @@ class StepSolution:
 class StepState:
     """The state of a process of load steps: what the next solve depends on, beside its inputs.
 
-    Loads, prescribed values and places of obstacles are inputs. Operations return another state.
+    Loads, prescribed values and places of obstacles are inputs. Methods return another state.
 
     If friction depends on the pressure, the solution of a load step may depend on the tractions at
     which its solve starts: these must be tractions of the last accepted step, not of a trial solve.
@@ -83,13 +83,13 @@ class StepState:
             since, its PETSc objects are destroyed.
         history: slip and dissipation of the accepted steps, and the origin of friction.
         multipliers: (size,) multipliers of the last solve; the next starts there or at `accepted`.
-        motions: (pairs, 3, 4) positions of rigid obstacles (`RigidMotion.matrix`) at the pairing.
+        motions: (pairs, 3, 4) `Obstacles.motions` when a solve last looked whether they changed.
         configuration: displacement [length] at which pairs with finite sliding are paired.
         geometry: displacement [length] at which the other pairs are paired.
         unknowns: values of the displacement of nonlinear bodies, or of all unknowns of a mixed
             space, with ghosts; None for linear bodies.
         end: `unknowns` at which the last solve ended; None: it has not ended. If the user has
-            changed them since, the next solve starts there.
+            changed them since, the next solve starts at the user's values.
         continues: whether the load step goes on from the last solve in another configuration, so
             that the next solve starts from the tractions of this last solve.
         solution: the last solution, for goals and derivatives; None as soon as another solve has
@@ -112,13 +112,13 @@ class StepState:
 
     @classmethod
     def undeformed(cls, jump: JumpOperator, motions: Array) -> StepState:
-        """Return the state of undeformed bodies without load. Not collective."""
+        """Return the state of undeformed bodies without load. Collective."""
         zeros, at_rest = np.zeros(len(jump.gap)), fem.Function(jump.system.V)
         accepted = AcceptedStep(zeros, None, None, motions, None)
         return cls(jump, SlipHistory.none(jump), zeros, motions, at_rest, at_rest, accepted)
 
     def started_at(self, multipliers: Array) -> StepState:
-        """Return the state in which solves start at multipliers until a step is accepted."""
+        """Return the state in which solves start at given multipliers, until the next step."""
         accepted = replace(self.accepted, multipliers=multipliers, unknowns=self.unknowns)
         return replace(self, multipliers=multipliers, accepted=accepted, end=None, continues=False)
 
@@ -158,11 +158,11 @@ class StepState:
         return replace(self, solution=self.solution and replace(self.solution, status=status))
 
     def at_start(self, depends_on_start: bool) -> StepState:
-        """Return the state from which a solve begins now. Collective.
+        """Return the state from which the next solve of the user begins. Collective.
 
-        If a solution depends on where its solve starts, this is the last accepted step; unknowns
-        that the user has changed since then stay. Otherwise, before the first step, or if a step
-        goes on in another configuration, it is where the last solve ended.
+        If solutions depend on where their solve starts, it starts at the last accepted step;
+        unknowns that the user has changed since the last solve stay. Otherwise, before the first
+        step, or if a step goes on in another configuration, it starts where the last solve ended.
         """
         if not depends_on_start or not self.history.begun or self.continues:
             return replace(self, continues=False)
@@ -173,16 +173,16 @@ class StepState:
         return replace(self, multipliers=self.accepted.multipliers, unknowns=unknowns)
 
     def with_tangents_of(self, jump: JumpOperator) -> StepState:
-        """Return the state on a B that differs in its tangents alone. Not collective."""
+        """Return the state on a B with other tangents at the same nodes. Not collective."""
         carry = Carry(self.jump, jump)
         return self._on(jump, carry, replace(self.history, origin=carry.jumps(self.history.origin)))
 
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
         """Return the state on the B of surfaces displaced by u [length]. Collective.
 
-        Where `since_accepted` (pairs,) is True, slip counts from the tangential jump, between nodes
-        and their present partners, in the last accepted step. Elsewhere nodes keep the slip T u - s
-        of the former B, which determines the new origin s.
+        Of pairs in the mask `since_accepted` (pairs,), the slip origin becomes the tangential jump
+        of the accepted displacement, between nodes and their present partners. Nodes of other pairs
+        keep their slip T u - s of the former B, which determines the new origin s.
         """
         carry = Carry(self.jump, jump)
         kept_slip = carry.jumps(self.jump.of_displacement(u) - self.history.origin)
@@ -196,7 +196,7 @@ class StepState:
         return self._on(jump, carry, replace(self.history, origin=origin))
 
     def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
-        """Return the state on another B, with the same tractions and without a solution."""
+        """Return the state on another B with a history, the same tractions and no solution."""
         accepted = carry.multipliers(self.accepted.multipliers)
         return replace(
             self,

@@ -35,8 +35,8 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
-#: Least change of a node's traction, relative to the largest one, up to which its state is
-#: undecided. Accurate solutions have smaller errors, and rounding decides then.
+#: The state of a node is undecided if a change of its traction by this part of the largest traction
+#: may change it, even if the solution is more accurate: rounding decides then.
 EDGE = 1e-9
 
 
@@ -68,7 +68,7 @@ class NodeCounts:
 
     @property
     def slip(self) -> int:
-        """Number of nodes whose tangential traction is at the slip bound, pressed or not."""
+        """Number of nodes with a traction at the slip bound, of pressed nodes also at a bound 0."""
         return self.nodes - self.stick - self.idle - self.bonded
 
 
@@ -128,9 +128,9 @@ def evaluate(
     *,
     estimate: bool,
 ) -> tuple[Evaluation, SlipHistory]:
-    """Compute fields, forces, energies and errors of a solution, with one solve with K. Collective.
+    """Compute fields, forces, energies and errors of a dual solution, for the user. Collective.
 
-    With `estimate`, the error of the mesh is estimated, too.
+    This takes at most two solves with K. With `estimate`, the mesh's error is estimated, too.
 
     Returns:
         the results; and the slip history that follows if this solution becomes a load step.
@@ -146,8 +146,8 @@ def evaluate(
     u = B.system.displacement(w, "displacement")
     deformation = u if B.frames is None else B.system.displacement(in_frames, "deformation")
 
-    # `increment`: slip of the step in B's rows; `closing`: by how much gaps have closed at nodes;
-    # both include the motion of tools, which is not part of u and moves the primary side
+    # `increment`: slip of the step in rows of T, minus the gap in rows of N; `closing`: by how much
+    # gaps have closed at nodes; both include the motion of tools, which moves primary sides, not u
     jump, by_tools = B.of_unknowns(solved), dual.jump_of_tools(c)
     normal = np.flatnonzero(~B.is_tangential)
     closing = np.concatenate(B.closings(u))
@@ -185,7 +185,7 @@ def evaluate(
     pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
 
     # results of the whole scene
-    origin = dual.history.origin.copy()  # the next step starts from where tools are now
+    origin = dual.history.origin.copy()  # the next step starts from where tools have moved
     origin[B.discs.tangential] -= by_tools[B.discs.tangential]
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
@@ -223,10 +223,10 @@ def evaluate(
 def energy_errors(
     dual: DualProgram, point: Point, error: float, estimated: fem.Function | None
 ) -> dict[str, Any]:
-    """Return the fields of an `Evaluation` that tell its error in the energy norm. Collective.
+    """Return the fields of an `Evaluation` that tell its errors in the energy norm. Collective.
 
-    `error` [energy^(1/2)] is that of the displacement that belongs to the multipliers. The error of
-    the mesh is estimated from the displacement `estimated`; with None it stays unknown.
+    The `point` has multipliers and gradient, and `error` [energy^(1/2)] is that of their computed
+    displacement. The error of the mesh is estimated from `estimated`, a displacement; None: not.
     """
     bound = dual.energy_bound(point.x, point.r, error)
     # from energies, not as u'K u: if bodies fall through wide gaps, K u is only rounding
@@ -257,8 +257,8 @@ def forces_on(
 ) -> dict[str, Any]:
     """Return the fields of an `Evaluation` with contact forces and their resultants. Collective.
 
-    For each pair, `forces` (n, 1 + d) [force] are the pressing force and the tangential force
-    vector at each node. The forces of the multipliers x (size,) act on the bodies displaced by u.
+    For each pair with its `operators`, `forces` (n, 1 + d) [force] are the normal force and the
+    tangential force vector at each node. The multipliers are x (size,), the displacement is u.
     """
     B, comm, V = dual.jump, dual.jump.comm, u.function_space
     in_space = zero_like(B.system.f, "f")
@@ -292,14 +292,14 @@ def node_values(
 ) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
     """Return states and slips of the nodes of all pairs, and results about them. Collective.
 
-    The gradient at the multipliers is r (size,), and `increment` (size,) the jump in B's rows since
-    the slip origin, divided by `JumpOperator.length_scale`.
+    The gradient at the multipliers is r (size,), and `increment` (size,) the jump in B's rows less
+    `DualProgram.offset`, divided by `JumpOperator.length_scale`: in rows of T the slip of the step.
 
     Returns:
         states: (n,) values of `ContactState`.
-        steps: (n, d + 1) slip vectors, and increments of the slip paths, of this step [length].
+        steps: (n, d + 1) slip vectors of this step, and what it adds to the slip paths [length].
         before: (n, d + 1) slip vectors and slip paths of all earlier steps [length].
-        slip: (size,) the increment where nodes slip, else zero.
+        slip: (size,) the increment in tangential rows of nodes that slip, else exactly zero.
         results: the fields `counts`, `local_error` and `bound_error` of an `Evaluation`.
     """
     B, x = dual.jump, solution.multipliers
@@ -310,7 +310,7 @@ def node_values(
     slip = np.zeros_like(increment)
     slipping = section.tangential[~stick[section.node]]
     slip[slipping] = increment[slipping]
-    # errors: the changes of tractions and of slip bounds from x to these states
+    # errors: the largest changes of tractions and of slip bounds from x to these states
     change, largest, rounding = dual.local_change(x, r)
     is_finite = np.isfinite(section.radius)
     bounds, bounds_at_target = section.radius[is_finite], target_section.radius[is_finite]
@@ -356,10 +356,10 @@ def node_values(
 
 
 def _near_another_state(B: JumpOperator, section: FeasibleSet, x: Array, limit: float) -> Mask:
-    """Return for each disc whether changing the tractions by `limit` [stress] changes its state.
+    """Return for each disc whether a change of tractions by `limit` [stress] may change its state.
 
-    The tractions of the multipliers x (size,) are so near to the edge of their friction disc, or
-    the pressure is so near to 0. The first discs are those of the nodes, in their order.
+    It may if at the multipliers x (size,) the traction is so near to the edge of its friction disc,
+    or the pressure so near to 0. The first discs are those of the nodes, in their order.
     """
     scale = np.ones(len(section.radius))
     scale[section.node] = B.stress_scale[section.tangential]
@@ -380,9 +380,9 @@ def status_of_fields(
 ) -> ContactStatus:
     """Return the status of a solve from the error bound of its fields. Collective.
 
-    The user gets these fields. Their bound may be larger than the bound with which the iteration
-    has converged: then the solve has stagnated, since rounding prevents the accuracy. The bound may
-    also be small enough for the accuracy that the user `requested` although the iteration, whose
+    The `evaluation` is what the user gets. Its bound may be larger than that with which the
+    iteration has converged: then the solve has stagnated, since rounding prevents the accuracy. Or
+    it is small enough for the accuracy that the user `requested` although the iteration, whose
     `options` may ask for more, has ended early: then the solve has converged.
     """
     if solution.status is ContactStatus.STOPPED:

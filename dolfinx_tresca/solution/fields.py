@@ -35,7 +35,7 @@ class ContactState(IntEnum):
     bonded nodes are `PRESSED` or greater.
     """
 
-    OUTSIDE = -1  #: carries no multiplier: prescribed, or beyond the primary side
+    OUTSIDE = -1  #: no multiplier: fully prescribed, on both sides, or beyond the primary side
     OPEN = 0  #: no pressure, and no friction
     OPEN_STICK = 1  #: no pressure, and the tangential traction is below the slip bound
     OPEN_SLIP = 2  #: no pressure, and the tangential traction has reached the slip bound
@@ -169,7 +169,7 @@ class SurfaceFields:
 
     @property
     def functions(self) -> tuple[fem.Function, ...]:
-        """All fields, for output; from step 2 on also `slip_increment` and `slip_path`."""
+        """Fields for output: not `initial_gap`; `slip_increment`, `slip_path` from step 2 on."""
         steps = () if self.slip_increment is self.slip else ("slip_increment", "slip_path")
         names = ("displacement", "pressure", "traction", "slip", *steps, "gap", "state", "normal")
         fields = (getattr(self, name) for name in names)
@@ -182,7 +182,7 @@ class Surface:
 
     Attributes:
         mesh: the facets of the secondary side, and those of the pairs that share the mesh.
-        scalar: a scalar Function of degree 1 on `mesh`, the original of all others.
+        scalar: a scalar Function of degree 1 on `mesh`, which is copied to make others.
         vector: a vector Function of degree 1 on `mesh`, likewise.
         parent: (nodes of `scalar`, with ghosts) local number of the node of V at each node.
         work: a Function in V through which values reach ghosts, shared by all surfaces.
@@ -204,17 +204,17 @@ class Surface:
         communicators, on several ranks 10, and MPICH has 2,048 of them.)
         """
         V, surfaces = work.function_space, []
-        dim, shares = V.mesh.geometry.dim, -(-len(pairs) // 50)
-        for start in range(0, len(pairs), shares):
-            group = pairs[start : start + shares]
+        dim, pairs_per_mesh = V.mesh.geometry.dim, -(-len(pairs) // 50)
+        for start in range(0, len(pairs), pairs_per_mesh):
+            group = pairs[start : start + pairs_per_mesh]
             facets = [pair.facet_tags.find(pair.secondary) for pair in group]
             mesh, parent_nodes, entity_maps = compat.create_submesh(
                 V.mesh, V.mesh.topology.dim - 1, np.unique(np.concatenate(facets))
             )
             scalar = fem.functionspace(mesh, ("Lagrange", 1))
             vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
-            # node of V <- geometry node of the mesh <- geometry node of the surface <- node of
-            # `scalar`
+            # from a node of `scalar` to the surface's geometry node, to that of the problem's mesh,
+            # to the node of V
             count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
             parent = np.zeros(count, dtype=np.int32)
             of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, : scalar.dofmap.list.shape[1]]]
@@ -224,10 +224,10 @@ class Surface:
         return surfaces
 
     def function(self, name: str, nodes: LocalNumbers, values: Array) -> fem.Function:
-        """Return the Function on the surface, of degree 1, with values at some nodes. Collective.
+        """Return the Function on the surface, of degree 1, with values at `nodes`. Collective.
 
-        The values (n,) or (n, d) are those of nodes of V (n,) that this rank owns; at nodes that no
-        rank gives, the Function is zero, or has the state OUTSIDE.
+        The values (n,) or (n, d) are those at nodes of V (n,) that this rank owns; at nodes that no
+        rank gives, the Function is zero, or the field "state" is OUTSIDE.
         """
         dim = self.mesh.geometry.dim
         columns, original = (dim, self.vector) if values.ndim == 2 else (1, self.scalar)
@@ -246,17 +246,17 @@ class Surface:
         V, values = self.work.function_space, function.x.array.reshape(-1, columns)[:own]
         # the rank that owns a node of V may have no cell of the surface at this node
         whole = summed_at_nodes(V.dofmap.index_map, self.parent[:own], values)
-        across = ContactOperators(V, operators, self.pair)
+        transfer = ContactOperators(V, operators, self.pair)
         is_scalar = function.ufl_shape == ()
-        return across.on_both_sides(whole[operators.nodes], function.name, scalar=is_scalar)
+        return transfer.on_both_sides(whole[operators.nodes], function.name, scalar=is_scalar)
 
     def fields(
         self, operators: PairOperators, u: fem.Function, values: Mapping[str, Array]
     ) -> SurfaceFields:
         """Return the fields of a solution from name -> values at the pair's nodes. Collective.
 
-        Values are (n,) or (n, d). Without friction there is no traction and no slip, and in the
-        first step no `slip_increment`, which then is the slip.
+        Values are (n,) or (n, d). Without friction there are no values of traction and slip, and in
+        the first step none of `slip_increment`, which then is the slip.
         """
         functions: dict[str, Any] = dict.fromkeys(("traction", "slip", "slip_path"))
         functions |= {
@@ -285,9 +285,9 @@ class Surface:
 def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Array]:
     """Return each pair's slip vectors and paths (n, d + 1) [length], from another mesh. Collective.
 
-    They are interpolated on the nearest facets, between those of their nodes that carry
-    multipliers. Linear fields are exact, for instance at the midpoints of edges, where refined
-    meshes have nodes. Values are zero farther from the surface than its longest edge.
+    They are interpolated to the nodes of `jump` from the nearest facets, between those of their
+    nodes that carry multipliers. Linear fields are exact, for instance at the midpoints of edges,
+    where refined meshes have nodes. Values are zero farther away than the longest edge.
     """
     x = jump.system.V.tabulate_dof_coordinates()
     counts = [len(pair.nodes) for pair in jump.pairs]
@@ -299,7 +299,7 @@ def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Arr
 
 
 def _slips_at(fields: SurfaceFields, points: Array) -> Array:
-    """Return slip vectors and paths (n, d + 1) near points (n, 3) of this rank. Collective."""
+    """Return a solution's slip vectors and paths (n, d + 1) near points (n, 3). Collective."""
     comm, V = fields.mesh.comm, fields.pressure.function_space
     corners = V.tabulate_dof_coordinates()[V.dofmap.list]
     edges = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3)

@@ -28,7 +28,7 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 @dataclass(frozen=True)
 class Resultant:
-    """Force and moment of contact on a body.
+    """Force and moment of contact on a body or on one side of a pair, or of a support on bodies.
 
     Attributes:
         force: (d,) resultant force [force]; in 2D per unit of thickness.
@@ -48,7 +48,7 @@ class Resultant:
 
 
 class BoltForce(NamedTuple):
-    """The force in a bolt that was cut, positive in tension.
+    """The force in a bolt that the mesh cuts in two (`Preload`), positive in tension.
 
     Attributes:
         force: the force [force].
@@ -70,7 +70,7 @@ def resultants_on(
 ) -> tuple[Resultant, ...]:
     """Return `count` resultants of forces (n, d) at places (n, d), about a point (d,). Collective.
 
-    The index (n,) is the number of the resultant to which each force belongs.
+    The index (n,) says for each force to which resultant it belongs, such as that of its body.
     """
     both = np.hstack([forces, moments(places - point, forces)])
     sums = np.zeros((count, both.shape[1]))
@@ -84,9 +84,9 @@ def nodal_resultants(
 ) -> tuple[Resultant, ...]:
     """Return resultants of forces on nodes, about the centre of all loaded nodes. Collective.
 
-    This is the centre of the nodes' bounding box; without forces, the origin. The forces (owned
-    degrees of freedom of V,) act on the displaced nodes, or with None on the undeformed bodies; for
-    index (owned nodes,) and count see `resultants_on`.
+    This is the centre of the loaded nodes' bounding box, or the origin without forces. The forces
+    (owned degrees of freedom of V,) act on nodes displaced by `displaced`; None: on undeformed
+    bodies. For index (owned nodes,) and count see `resultants_on`.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     rows = forces.reshape(-1, dim)
@@ -106,8 +106,8 @@ def resultants_between(
     """Return (i, j) -> the resultant on body i by body j, for bodies i < j in contact. Collective.
 
     Forces of obstacles, and forces within a body, do not count. Moments are about the mean of the
-    points at which the forces act, weighted by their lengths. Forces (n, d) act on the secondary
-    nodes of each pair; the label (owned nodes,) is the body of a node.
+    points at which the forces act, weighted by their sizes. Forces (n, d) are those on the nodes of
+    each pair's secondary side; the label (owned nodes,) is the body of a node.
     """
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     # an entry for each primary node that exerts a share of the force on a secondary node: the
@@ -115,7 +115,7 @@ def resultants_between(
     shares = vstack([pair.primary for pair in pairs], format="coo")
     secondary = np.concatenate([pair.nodes for pair in pairs])[shares.row]
     partners, column = np.unique(shares.col.astype(np.int64), return_inverse=True)
-    # ask the ranks that own the partners for their bodies
+    # ask the ranks that own these partners for the partners' bodies
     start, end = V.dofmap.index_map.local_range
     owners = (partners[:, None] >= np.array(comm.allgather(end))).sum(axis=1)
     asked, source = exchange(comm, partners, owners)
@@ -149,7 +149,7 @@ class Supports:
     """Supports of the bodies at a solution: Dirichlet conditions, and springs on surfaces.
 
     Attributes:
-        residual: internal minus external forces at u, a form of rank 1.
+        residual: internal minus external forces at u without contact, a form of rank 1.
         u: the displacement in this form; for bodies that have turned, that in their frames.
         contact_force: contact forces on all nodes [force].
         facet_tags: tags of the surfaces on which supports may be.
@@ -171,7 +171,7 @@ class Supports:
     ) -> Resultant:
         """Return the force and moment of a support, see `ContactProcess.reaction`. Collective.
 
-        Forces act on the displaced nodes, or with None on the undeformed bodies; the `frames` are
+        Forces act on nodes displaced by `displaced`; None: on undeformed bodies. The `frames` are
         those of linear bodies that have turned.
         """
         V, u = self.contact_force.function_space, self.u

@@ -31,7 +31,7 @@ from dolfinx_tresca.solvers.feasible_set import FrictionCones
 
 
 class Limit(NamedTuple):
-    """The value of a measure from which it is `noticed` in the log, and the `largest` in theory."""
+    """Limits of a measure: above `noticed` the log warns of it, above `largest` theory ends."""
 
     noticed: float
     largest: float
@@ -68,7 +68,7 @@ ADVICE_TO_PAIRS = (
 
 
 class Departure(NamedTuple):
-    """A measure of how far a solution has left linear theory, with its limits.
+    """A measure of how far a solution is from the assumptions of linear theory, with its limits.
 
     The text names the body or the pair and its motion; the advice is a change of the scene.
     """
@@ -82,8 +82,8 @@ class Departure(NamedTuple):
 def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set[Limit]) -> str:
     """Return why a solution is outside of the theory, or "" if it is within it. Collective.
 
-    Departures within the theory that are large enough to be noticed are logged instead, each kind
-    only once: their limits are added to `noticed`.
+    If it is within, the log warns of departures above their `noticed` limit, each kind only once:
+    limits of which the user has been told are added to the set `noticed`.
     """
     # the first rank decides, since values of ranks may differ by rounding
     departures = comm.bcast([each for each in departures if each.value > each.limit.noticed])
@@ -100,8 +100,8 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     """Yield the departures of the body that turns most and of the body that deforms most.
 
-    Collective. A body turns by the rotation of the rigid motion that is nearest to u, and its
-    strain is the largest displacement beyond this motion, divided by the body's diagonal.
+    Collective. A body turns by the rotation of the rigid motion that is nearest to u. It deforms by
+    the largest displacement beyond this motion, which divided by its diagonal is its strain.
     """
     comm, values, label = u.function_space.mesh.comm, owned_values(u), bodies.label
     dim, sums = values.shape[1], RankReductions(comm)
@@ -133,28 +133,28 @@ def motions_of_pairs(
     jump: JumpOperator,
     pairs: Sequence[ContactPair],
     u: fem.Function,
-    paired: fem.Function,
+    geometry: fem.Function,
     tractions: Array,
-    places: Array,
+    motions: Array,
 ) -> Iterator[Departure]:
     """Yield the departures of obstacles that turn, and of pairs whose nodes slide. Collective.
 
-    Slip is no departure with finite sliding, on a plane, which has the same normal everywhere, and
-    where surfaces are bonded. Obstacles turn in a solve only if forces hold them.
+    Slip is no departure with finite sliding, on a rigid plane, which has the same normal
+    everywhere, and where surfaces are bonded. Obstacles turn in a solve only if forces hold them.
 
-    The surfaces were paired at the displacement `paired`. In the solution, u is the displacement,
-    tractions (size,) [stress] are those in B's rows, and `places` (pairs, 3, 4) the motions of the
-    obstacles, as in `RigidMotion.matrix`.
+    Pairs with small sliding were paired at the displacement `geometry`. In the solution, u is the
+    displacement, tractions (size,) [stress] are those in B's rows, and `motions` (pairs, 3, 4) are
+    those of the obstacles, as in `RigidMotion.matrix`.
     """
     V, since_pairing = u.function_space, u.copy()
-    since_pairing.x.array[:] -= paired.x.array
+    since_pairing.x.array[:] -= geometry.x.array
     vectors = jump.vectors(since_pairing)
-    shape = straightened(V, paired.x.array.reshape(-1, V.dofmap.index_map_bs))
-    for pair, operators, jumps, stress, place in zip(
-        pairs, jump.pairs, vectors, jump.nodal_vectors(tractions), places, strict=True
+    straight_u = straightened(V, geometry.x.array.reshape(-1, V.dofmap.index_map_bs))
+    for pair, operators, jumps, stress, motion in zip(
+        pairs, jump.pairs, vectors, jump.nodal_vectors(tractions), motions, strict=True
     ):
         if pair.obstacle is not None:
-            start, end = pair.obstacle.motion, RigidMotion.from_matrix(place)
+            start, end = pair.obstacle.motion, RigidMotion.from_matrix(motion)
             angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
             text = f"{pair.obstacle} turns by {angle:.3g} rad in a load step, of which linear "
             text += f"theory allows {ROTATION.largest}"
@@ -163,45 +163,45 @@ def motions_of_pairs(
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
         force = operators.weights * np.maximum(stress[:, 0], 0.0)
-        yield from _motions_of_pair(V, pair, operators, jumps, force, shape)
+        yield from _motions_of_pair(V, pair, operators, jumps, force, straight_u)
 
 
 def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
-    """Return the displacements (n, d) of places (n, d) on an obstacle that moves."""
+    """Return displacements (n, d) of an obstacle's points at places (n, d), from start to end."""
     points = in_space(places).T
     return (end.applied_to(start.reversed_from(points)) - points).T[:, : places.shape[1]]
 
 
 def _motions_of_pair(
-    V: Any, pair: ContactPair, operators: PairOperators, jumps: Array, force: Array, shape: Array
+    V: Any, pair: ContactPair, operators: PairOperators, jumps: Array, force: Array, paired_u: Array
 ) -> Iterator[Departure]:
-    """Yield how far pressed nodes slide, and how much force is beyond the other side. Collective.
+    """Yield how far pressed nodes slide, and which force is beyond the other side. Collective.
 
-    The jumps (n, d) [length] count from the pairing at the displacement `shape` (nodes, d)
-    [length], and nodes have the normal forces (n,).
+    The jumps (n, d) [length] count from the pairing at the displacement `paired_u` (nodes, d)
+    [length], and `force` (n,) are the normal forces at nodes.
     """
     comm, normals = V.mesh.comm, operators.normals
     slips = jumps - dots(jumps, normals)[:, None] * normals
     pressed: Mask = force > 0.0
     length = np.linalg.norm(slips, axis=1)
-    places, widths = operators.places[pressed], operators.sizes[pressed]
+    places, sizes = operators.places[pressed], operators.sizes[pressed]
     # the largest values of all pressed nodes: size, slip, slip divided by size; and their box
-    lengths = np.column_stack([widths, length[pressed], length[pressed] / widths])
+    lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
     corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
     extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
-    facet, slip, in_facets, *bounds = reduce_array(comm, extremes, MPI.MAX)
+    size, slip, slip_by_size, *bounds = reduce_array(comm, extremes, MPI.MAX)
     if slip == 0.0:
         return
     # `bounds` are the largest coordinates, and the negated least ones
-    extent = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + facet
+    extent = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + size
     text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
     relative = f"{text}, {slip / extent:.2g} times the size {extent:.3g} of the contact, but keep "
     relative += "their normals and partners"
     yield Departure(slip / extent, SLIP, relative, ADVICE_TO_PAIRS)
     # nodes that slide by less than their own size cannot be farther from the other side than that
-    if in_facets > 1.0 and pair.obstacle is None:
+    if slip_by_size > 1.0 and pair.obstacle is None:
         # has a node, where the jumps take it, an opposed primary facet within its size?
-        facets, reach = operators.undeformed.displaced(V, shape)[-1], operators.sizes
+        facets, reach = operators.undeformed.displaced(V, paired_u)[-1], operators.sizes
         points, normals = in_space(operators.places + jumps), in_space(normals)
         pieces = Pieces(near_lines(comm, facets, points, normals, reach, 0.0))
         point, piece = pieces.near(points, reach)
@@ -216,7 +216,7 @@ def _motions_of_pair(
 def hint_at_scene(
     V: Any, pairs: Sequence[ContactPair], operators: Sequence[PairOperators], bodies: Bodies
 ) -> None:
-    """Warn of overlaps as deep as a body, and of pairs with both sides on one body. Collective."""
+    """Warn of initial overlaps as deep as a body, and of pairs within a single body. Collective."""
     comm, dim = V.mesh.comm, V.mesh.geometry.dim
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
@@ -252,19 +252,19 @@ def hint_at_overlap(
     """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
     rounding = ROUNDING * largest_abs(comm, points)[0]
-    for pair, paired, closing, surface in zip(
+    for pair, operators, closing, surface in zip(
         pairs, jump.pairs, jump.closings(u), surfaces, strict=True
     ):
         if pair.obstacle is not None and surface.obstacle is not None:
-            carried = _carried(paired.places, pair.obstacle.motion, surface.obstacle.motion)
-            closing -= dots(carried, paired.normals)
-        depth = np.where(paired.prescribed, closing - paired.gap, 0.0)
+            carried = _carried(operators.places, pair.obstacle.motion, surface.obstacle.motion)
+            closing -= dots(carried, operators.normals)
+        depth = np.where(operators.prescribed, closing - operators.gap, 0.0)
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
             continue
-        count = comm.allreduce(len(np.unique(paired.nodes[depth > rounding])))
+        count = comm.allreduce(len(np.unique(operators.nodes[depth > rounding])))
         # the least of all equally deep points: the same with any number of ranks
-        deepest_points = points[paired.nodes[depth >= deepest - rounding]]
+        deepest_points = points[operators.nodes[depth >= deepest - rounding]]
         place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
         warn(
             comm,
@@ -281,10 +281,10 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, eigenvalue: flo
     """Log a warning if slip bounds decrease with pressure or slip. Collective.
 
     With such bounds there may be several solutions. A decrease with the slip is harmless if its
-    rate is less than 1 divided by the largest eigenvalue of A, both at the present slip and on
-    average from zero to it: this is the least traction that elastic bodies need for one more unit
-    of slip. The cones have the bounds F(p, v) p at the slips of a solution, with multipliers x
-    (size,), and `eigenvalue` is that of A, or a lower bound.
+    rate is less than 1 / eigenvalue, both at the present slip and on average from zero to it: with
+    the largest `eigenvalue` of A, or a lower bound of it, this is the least traction that elastic
+    bodies need for a further unit of slip. The cones have the bounds F(p, v) p at the slips of a
+    solution, whose multipliers are x (size,).
     """
     section = cones.section(x)
     face = section.face(2.0 * x)  # nodes on their circles slip

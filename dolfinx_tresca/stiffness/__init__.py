@@ -2,10 +2,10 @@
 
 - `LinearSystem`: K and f from the user's forms and Dirichlet conditions. Rows and columns of
   prescribed unknowns in K are those of the identity, and f has the prescribed values there.
-- `StiffnessSolver`: a KSP of PETSc that solves with K, counts its solves, and tells the error in
-  the energy norm. `cholesky` makes one with factors of CHOLMOD or MUMPS; another is `multigrid`.
+- `StiffnessSolver`: a KSP of PETSc that solves with K, counts its solves, and tells their error in
+  the energy norm. `cholesky` makes one that factors K, `multigrid` one that iterates.
 - `Component`: the displacement in a mixed space, whose other unknowns make K indefinite.
-- `BodyFrames`: linear bodies that turn with their frames, so that K stays as it is.
+- `BodyFrames`: rigid motions with which linear bodies turn, so that K stays as it is.
 
 | symbol | name in the code | meaning |
 |---|---|---|

@@ -26,15 +26,15 @@ ChosenMethod: TypeAlias = Literal["cholesky", "multigrid"]
 StiffnessMethod: TypeAlias = Literal["auto", ChosenMethod]
 
 #: Largest numbers of degrees of freedom of a body, by the dimension of space, for which K is
-#: factored by default for one contact solve; above them multigrid is faster. The cost of factors
-#: grows with the square of the size of each body. With twice the limit in 3D, solves in between
-#: take up to twice the time.
+#: factored by default for a single contact solve; above them multigrid is faster. The cost of
+#: factors grows with the square of the size of each body. With twice the limit in 3D, solves of
+#: sizes between both limits take up to twice the time.
 CHOLESKY_LIMITS = {2: 800_000, 3: 50_000}
 
 
 @dataclass(frozen=True)
 class SolverRequest:
-    """How the user wants to solve with K; see `ContactProblem`."""
+    """How the user wants to solve with K: see `ContactProblem`, where `method` is `stiffness`."""
 
     method: StiffnessMethod = "auto"
     petsc_options: Mapping[str, Any] | None = None
@@ -58,8 +58,8 @@ class SolverRequest:
     ) -> tuple[ChosenMethod, str]:
         """Return the name of the solver for K, and the reason for the choice. Not collective.
 
-        The `unknowns` are those of a body, averaged over the unknowns instead of over the bodies,
-        so that large bodies decide; `saddle` tells that K belongs to a mixed space.
+        `unknowns` is a mean size of the bodies: each counts with its own number of unknowns as
+        weight, so that large bodies decide. `saddle` tells that K belongs to a mixed space.
         """
         if self.method == "multigrid" and saddle:
             raise InputError(
@@ -68,7 +68,7 @@ class SolverRequest:
             )
         if self.method != "auto":
             return self.method, "requested"
-        # each further solve adds a half, until factors would take too much memory
+        # each further solve raises the limit by a half, until factors would take too much memory
         limit = int(CHOLESKY_LIMITS[dim] * min(0.5 * (self.expected_solves + 1), 5.0))
         chosen: ChosenMethod = "cholesky" if saddle or unknowns <= limit else "multigrid"
         reason = (
@@ -84,7 +84,7 @@ class SolverRequest:
 #: Environment variables by which users set the number of OpenBLAS's threads.
 THREAD_VARIABLES = {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"}
 
-#: Paths of BLAS libraries.
+#: Pattern of the paths of BLAS libraries.
 BLAS = re.compile(r"/lib[^/]*blas[^/]*$")
 
 
@@ -138,7 +138,7 @@ def openblas_threads() -> Sequence[tuple[Callable[[], int], Callable[[int], None
 def one_thread() -> Iterator[None]:
     """Limit OpenBLAS to one thread in a block, unless the environment sets a number.
 
-    The products of the contact algorithm are so small that threads cost more time than they save,
+    The matrix products of a contact solve are so small that threads cost more time than they save,
     and threads that wait take cores away from other ranks.
     """
     limited = [] if THREAD_VARIABLES & os.environ.keys() else openblas_threads()

@@ -1,4 +1,4 @@
-"""Checks of the forms and of the assembled matrix, the space of the forms, and its components."""
+"""The function space of the forms, its displacement component, and checks of forms and of K."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def compiled(name: str, form: Any, mesh: Any, entity_maps: EntityMaps | None) ->
 
 
 def coefficients(form: Any) -> list[npt.NDArray[Any]]:
-    """Return this rank's values of coefficients and constants of a UFL form; else none."""
+    """Return this rank's values of a UFL form's coefficients and constants, of others nothing."""
     if not isinstance(form, ufl.Form):
         return []
     functions = [function.x.array for function in form.coefficients()]
@@ -72,7 +72,7 @@ CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def has_stresses(L: Any) -> bool:
-    """Return whether a form L has derivatives of its test function, as of thermal strains."""
+    """Return whether a UFL form L has derivatives of its test function, as for thermal strains."""
     if not isinstance(L, ufl.Form):
         return False
     return any(
@@ -85,8 +85,8 @@ def has_stresses(L: Any) -> bool:
 def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
     """Return the space of the forms, after a check that forms and conditions suit contact.
 
-    V is needed if neither a nor L is a form of UFL, or if several sub-spaces of a mixed space suit
-    displacements: it is then the sub-space of the displacement.
+    V is the space if neither a nor L is a form of UFL. If several sub-spaces of a mixed space suit
+    displacements, V is the sub-space of the displacement, and the result is the mixed space.
     """
     # types and arguments of the forms
     given = "a UFL form, {}, or a compiled form together with V="
@@ -140,14 +140,14 @@ def form_space(a: Any, L: Any, bcs: Sequence[Any], V: Any = None) -> Any:
 
 
 def _spaces(form: Any) -> Sequence[Any]:
-    """Return the function spaces of the arguments of a form, as objects of C++; else none."""
+    """Return the C++ function spaces of a form's arguments; none of a matrix or None."""
     if isinstance(form, ufl.Form):
         return [argument.ufl_function_space()._cpp_object for argument in form.arguments()]
     return form.function_spaces if isinstance(form, fem.Form) else ()
 
 
 def _is_part(V: Any, space: Any) -> bool:
-    """Return whether V is a sub-space of a mixed space, made by the mixed space's `sub`."""
+    """Return whether `space` is mixed, and V a sub-space that `space.sub` has made."""
     mixed = space.dofmap.index_map_bs == 1
     return mixed and len(V.component()) == 1 and bool(space._cpp_object.contains(V._cpp_object))
 
@@ -186,14 +186,14 @@ def _suits(element: Any, dim: int) -> bool:
 
 
 class Component:
-    """One sub-space of a mixed space, in a numbering of its own.
+    """The displacement in a mixed space, as a space V with a numbering of its own.
 
-    A node on the border of two ranks may have one owner in the sub-space, and another owner in the
-    mixed space. So vectors of it need ghost values.
+    A node on the border of two ranks may have different owners in V and in the mixed space. So an
+    owned value of V may be a ghost value in the mixed space.
 
     Attributes:
         V: the collapsed sub-space, on which Functions can be created.
-        dofs: for each degree of freedom of V that of the mixed space, in local numbers.
+        dofs: for each degree of freedom of V, with ghosts, its local number in the mixed space.
         mask: (owned degrees of freedom of the mixed space,) whether each is in the component.
     """
 
@@ -220,7 +220,7 @@ class Component:
         return component
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Return B, of the columns of V, on those of the mixed space; the caller owns it."""
+        """Return B, whose columns are those of V, on the mixed space; the caller owns it."""
         return B.matMult(self._parts)
 
     def block(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -229,7 +229,7 @@ class Component:
 
 
 def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
-    """Return a copy of the user's matrix on V, with the type of DOLFINx's matrices. Collective."""
+    """Return a copy of the user's matrix K on V, of DOLFINx's matrix type. Collective."""
     if not K.handle:
         raise InputError("the matrix a was destroyed: keep it as long as the problem assembles K.")
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
@@ -247,7 +247,7 @@ def copied(K: PETSc.Mat, V: Any) -> PETSc.Mat:
 
 
 def check_meridian(mesh: Any) -> None:
-    """Check that a mesh is the meridian of bodies about the axis x = 0. Collective."""
+    """Check that a mesh may be a meridian: in 2D, with no negative radius x[0]. Collective."""
     dim, radii = mesh.geometry.dim, mesh.geometry.x[:, 0]
     least, largest = reduce_array(
         mesh.comm, [radii.min(initial=np.inf), -np.abs(radii).max(initial=0.0)], MPI.MIN
@@ -261,7 +261,7 @@ def check_meridian(mesh: Any) -> None:
 
 
 def check_hoop_stiffness(K: PETSc.Mat) -> None:
-    """Check that an axisymmetric K without conditions resists a radial translation. Collective."""
+    """Check that an axisymmetric K, before the elimination, has hoop stiffness. Collective."""
     motion, force = K.createVecs()
     motion.array = np.tile([1.0, 0.0], motion.local_size // 2)
     K.mult(motion, force)
@@ -290,7 +290,7 @@ def check_symmetry(K: PETSc.Mat, cure: str) -> None:
 
 def check_signs(K: PETSc.Mat, not_displacement: Mask) -> None:
     """Check that C in (A, B'; B, -C) has no negative diagonal entry. Collective."""
-    # -C is in the rows of the mask of free owned unknowns; the pivots do not show its signs
+    # -C is in the rows of the mask (owned unknowns,); the pivots do not show its signs
     entries = K.getDiagonal().array[not_displacement]
     largest = K.comm.tompi4py().allreduce(float(entries.max(initial=-np.inf)), op=MPI.MAX)
     if largest > 0.0:

@@ -3,10 +3,8 @@
 A point X of a body is at x = X + u with u = u_R + R v. Here u_R = t + (R - 1)(X - c) is the rigid
 motion of the body's frame, with the centre c, the translation t and the rotation R, and v is the
 displacement in the frame. If v is small, the strain energy is 1/2 v'K v with the K of the
-undeformed body, also if R turns by whole revolutions: this is the corotational formulation, or
-floating frame of reference, with one frame for each body (Nour-Omid and Rankin 1991, Comput.
-Methods Appl. Mech. Eng. 93; Shabana 1997, Multibody Syst. Dyn. 1). docs/theory/frames.md derives
-what follows for contact.
+undeformed body, also if R turns by whole revolutions: this is the corotational formulation, with a
+frame for each body (Nour-Omid and Rankin 1991; Shabana 1997), see docs/theory/frames.md.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ class BodyFrames:
         has_frame: (bodies,) whether the body has a frame that moves.
         axis: (bodies, 3) unit vector about which alone the body can turn; zero: it can turn freely.
         guides: (owned nodes,) whether the node is one of those that determine its body's frame:
-            nodes whose displacement is prescribed, if they determine it; otherwise all nodes.
+            nodes whose whole displacement is prescribed, if they suffice; otherwise all nodes.
         centre: (bodies, 3) mean undeformed position of the guides, c [length].
         translation: (bodies, 3) t [length].
         rotation: (bodies, 3, 3) R.
@@ -72,7 +70,7 @@ class BodyFrames:
         displacements let it turn about no axis; if K, which is assembled, resists its rigid
         motions, as with springs that tie it to a place in space; if L has derivatives of the test
         function, which are stresses inside the bodies and would turn with them; or if it has nodes
-        on surfaces with small sliding, whose normals do not turn.
+        on surfaces with small sliding, whose normals do not turn, except bonded ones.
         """
         V, count = system.V, bodies.count
         slides_far = any(pair.sliding == "finite" for pair in pairs)
@@ -85,8 +83,8 @@ class BodyFrames:
         prescribed = system.prescribed_displacements.reshape(owned, dim)
         whole = prescribed.all(axis=1)
         # for each body and axis, the number of nodes that keep the body from turning about other
-        # axes, since their displacement along this axis is prescribed; surfaces with small sliding
-        # count for all axes, so that their body has no frame
+        # axes, since their displacement along this axis, but not as a whole, is prescribed; nodes
+        # with small sliding count for all axes, so that their body has no frame
         guided = np.zeros((count, 3), dtype=np.int64)
         np.add.at(guided[:, :dim], label[:owned], prescribed & ~whole[:, None])
         for pair in pairs:
@@ -119,7 +117,7 @@ class BodyFrames:
         )
 
     def check_kept(self, at_rest: BodyFrames | None) -> None:
-        """Check that the frames `at_rest` with a new K are of the same bodies."""
+        """Check that with a new K, whose frames are `at_rest`, the same bodies have frames."""
         if at_rest is None or (at_rest.has_frame != self.has_frame).any():
             raise StiffnessError(
                 "bodies have turned in their frames, and the new K resists the rigid motions of "
@@ -137,7 +135,10 @@ class BodyFrames:
         return self._points + in_space(u.x.array.reshape(-1, self.V.mesh.geometry.dim))
 
     def _moments(self, x: Array) -> tuple[Array, Array]:
-        """Return means (bodies, 3) of positions x of guides, and sums of (x - mean) (X - mean)'."""
+        """Return means of guides' positions x, and their moments, sums of (x - mean) (X - mean)'.
+
+        The x are (owned nodes, 3), and results are (bodies, 3) and (bodies, 3, 3). Collective.
+        """
         comm, label, X = self.V.mesh.comm, self.label[: len(x)], self._points[: len(x)]
         sums = np.zeros((len(self.has_frame), 7))  # of X, x and 1, then means of X and x
         np.add.at(sums, label[self.guides], np.column_stack([X, x, np.ones(len(x))])[self.guides])
@@ -157,12 +158,11 @@ class BodyFrames:
         """
         mean, moments = self._moments(self._positions(u)[: len(self.guides)])
         translation = np.where(self.has_frame[:, None], mean - self.centre, 0.0)
-        # a body that turns about an axis has the moments of its positions across the axis, and
-        # along the axis so large a moment that the axis stays
+        # about a given axis only moments normal to it count, and a large one along it keeps it
         along = self.axis[:, :, None] * self.axis[:, None, :]
-        across = np.eye(3) - along
+        normal = np.eye(3) - along
         norms = np.linalg.norm(moments, axis=(1, 2), keepdims=True)
-        left, _, right = np.linalg.svd(across @ moments @ across + norms * along)
+        left, _, right = np.linalg.svd(normal @ moments @ normal + norms * along)
         left[:, :, 2] *= np.linalg.det(left @ right)[:, None]  # no reflections
         rotation = left @ right
         turned = np.abs(rotation - np.eye(3)).max(axis=(1, 2)) > ROUNDING
@@ -175,7 +175,7 @@ class BodyFrames:
 
     @cached_property
     def rigid(self) -> fem.Function:
-        """The rigid motions u_R [length]. Not collective."""
+        """The rigid motions u_R [length] at all nodes. Collective at first."""
         arm = self._points - self.centre[self.label]
         motion = np.einsum("nij,nj->ni", (self.rotation - np.eye(3))[self.label], arm)
         motion += self.translation[self.label]
@@ -199,29 +199,29 @@ class BodyFrames:
         return np.asarray(np.einsum("nij,nj->ni", matrices, vectors).ravel())
 
     def displacement(self, v: fem.Function) -> fem.Function:
-        """Return u = u_R + R v [length] of a displacement v in the frames. Not collective."""
+        """Return u = u_R + R v [length] of a displacement v in the frames. Collective."""
         u = v.copy()
         u.name = v.name
         u.x.array[:] = self.rigid.x.array + self.into_space(v.x.array)
         return u
 
     def deformation(self, u: fem.Function) -> fem.Function:
-        """Return v = R'(u - u_R) [length] of a displacement u. Not collective."""
+        """Return v = R'(u - u_R) [length] of a displacement u. Collective."""
         v = u.copy()
         v.x.array[:] = self.into_frames(u.x.array - self.rigid.x.array)
         return v
 
     def work(self, forces: fem.Function) -> float:
-        """Return the work [energy] of forces in the frames [force] on u_R. Collective."""
+        """Return the work of `forces` in the frames [force] on u_R [energy]. Collective."""
         owned = self.guides.size * self.V.mesh.geometry.dim
         own = self.into_space(forces.x.array[:owned]) @ self.rigid.x.array[:owned]
         return float(reduce_array(self.V.mesh.comm, own))
 
     def continued(self, before: fem.Function, after: fem.Function, fraction: float) -> fem.Function:
-        """Return a displacement at which bodies have gone on as they moved. Collective.
+        """Return a displacement at which bodies with frames have gone on moving. Collective.
 
-        The rigid motion of each body from one displacement to another goes on by a fraction of it:
-        its mean straight ahead, and its rotation about the same axis.
+        Their rigid motions from the displacement `before` to `after` go on by a fraction of them:
+        means of guides straight ahead, and rotations about the same axes. Other bodies stay.
         """
         owned, label = len(self.guides), self.label
         positions = [self._positions(u) for u in (before, after)]
@@ -238,7 +238,7 @@ class BodyFrames:
         return result
 
     def columns(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Return B R, which the caller owns, for a matrix with columns in space. Collective."""
+        """Return B R, owned by the caller, for a matrix B on displacements in space. Collective."""
         dim, owned = self.V.mesh.geometry.dim, len(self.guides)
         node = self.V.dofmap.index_map.local_range[0] + np.arange(owned)
         blocks = self.rotation[self.label[:owned], :dim, :dim], node, np.arange(owned + 1)
@@ -248,7 +248,7 @@ class BodyFrames:
 
 
 def _resisted(system: Any, bodies: Bodies) -> Mask:
-    """Return whether K resists a rigid motion of each body (count,). Collective."""
+    """Return for each body (count,) whether K resists any of its rigid motions. Collective."""
     dim, free = system.V.mesh.geometry.dim, ~system.prescribed
     label, modes = np.repeat(bodies.label, dim)[free], bodies.rigid_modes(dim)
     # a mode of all bodies at once, times another factor for each body, so that springs between

@@ -56,7 +56,7 @@ class StiffnessSolver(PetscOwner):
     Attributes:
         name: "cholesky" or "multigrid".
         solves: number of solved systems.
-        krylov_iterations: iterations of all solves together; 0 for a direct solver.
+        krylov_iterations: iterations of all solves except `solve_several`; 0 for a direct solver.
     """
 
     def __init__(
@@ -70,8 +70,8 @@ class StiffnessSolver(PetscOwner):
     ) -> None:
         """Set the solver up: factor K, or build the hierarchy. Collective.
 
-        The user's `petsc_options` precede those of the command line, with their `prefix` (None: a
-        new one), and these precede the `defaults`, which define the solver. The function `prepare`
+        The user's `petsc_options` override those in PETSc's database with the `prefix` (None: a new
+        one), and these override the `defaults`, which define the solver. The function `prepare`
         sets up parts of the preconditioner that options cannot set up.
         """
         self.name, self.comm = name, K.comm
@@ -113,21 +113,21 @@ class StiffnessSolver(PetscOwner):
 
     @property
     def matrix(self) -> PETSc.Mat:
-        """K, owned by the solver."""
+        """The matrix that was given as K, which callers must not destroy."""
         return self._ksp.getOperators()[0]
 
     @property
     def preconditioner(self) -> PETSc.PC:
-        """The preconditioner, or the factorisation; owned by the solver."""
+        """The preconditioner, or the factorisation, which callers must not destroy."""
         return self._ksp.getPC()
 
     @property
     def exact(self) -> bool:
-        """Whether solves are exact to rounding, whatever accuracy is requested."""
+        """Whether solves are exact to rounding for any requested accuracy, as with factors."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
 
     def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
-        """Solve K U = F for the columns of dense matrices. Collective."""
+        """Solve K U = F for the columns of dense matrices, all at once. Collective."""
         for matrix in (F, U):
             matrix.assemble()
         self._ksp.matSolve(F, U)
@@ -139,10 +139,10 @@ class StiffnessSolver(PetscOwner):
         """Solve K u = f from the best multiple of the given u, and return the error. Collective.
 
         An iteration stops at the relative error `rtol`, or at the absolute error `accuracy`, both
-        in the energy norm. The result is |u - K^-1 f|_K [energy^(1/2)]; 0 for a direct solver. It
-        is estimated as in `error`, but from the residual that the iteration updates, which contains
-        no rounding. The caller must judge it: it is larger than requested if the iteration stopped
-        early, at its largest number of steps, or when rounding broke it down near the solution.
+        in the energy norm. The result estimates |u - K^-1 f|_K [energy^(1/2)]; 0 for a direct
+        solver. It is as in `error`, but if the iteration converged from the residual that it
+        updates, which contains no rounding. The caller must judge it: it is larger than requested
+        if the iteration ended at its largest number of steps, or by rounding near the solution.
         """
         if self.exact:
             return self.solve(f, u)
@@ -156,7 +156,7 @@ class StiffnessSolver(PetscOwner):
             self._ksp.setInitialGuessNonzero(False)
 
     def _scale_guess(self, u: PETSc.Vec, f: PETSc.Vec) -> bool:
-        """Replace u by its multiple nearest to K^-1 f; return whether it is not zero.
+        """Replace u by its multiple nearest to K^-1 f; return whether that is not zero. Collective.
 
         In the energy norm this is u (u'f) / (u'K u). After a change of load, rounding of a guess
         that is too large may exceed the requested accuracy.
@@ -217,7 +217,7 @@ class StiffnessSolver(PetscOwner):
             )
 
     def _check_exact(self, f: PETSc.Vec, u: PETSc.Vec) -> None:
-        """Check, once, |f - K u| / (|K| |u| + |f|) of a solve without iteration. Collective."""
+        """Check once that a solve without iteration, of any options, is exact. Collective."""
         largest_force = f.norm(PETSc.NormType.INFINITY)
         if self._measured or not largest_force > 0.0:
             return
@@ -307,7 +307,7 @@ def cholesky(
 
     A saddle-point matrix (A, B'; B, -C) has as many `negative_pivots` as unknowns other than
     displacements: then, by Sylvester's law of inertia, A + B'C^-1 B is positive definite, or, if C
-    is zero, A on the vectors u with B u = 0. None: only zero pivots are errors.
+    is zero, A on the vectors u with B u = 0. None: K may have pivots of any sign, but not zero.
     """
     defaults: dict[str, Any] = {
         "ksp_type": "preonly",
@@ -340,7 +340,7 @@ def cholesky(
 
 
 def _check_pivots(K: PETSc.Mat, pc: PETSc.PC, negative_pivots: int | None) -> None:
-    """Check that K is positive definite, or has the signs of a saddle point; see `cholesky`."""
+    """Check the signs of MUMPS's pivots: none negative, or as `cholesky` says for saddle points."""
     if pc.getType() != PETSc.PC.Type.CHOLESKY or pc.getFactorSolverType() != "mumps":
         return  # the user has chosen another solver
     failure, reason, negative, zero = map(pc.getFactorMatrix().getMumpsInfog, (1, 2, 12, 28))
@@ -377,7 +377,7 @@ def multigrid(
     is applied to the matrix P'KP of the latter, with the interpolation P; for degree 1, GAMG is
     applied to K. If the options name a `pc_type`, this preconditioner is applied to K; if they name
     a smoother, Chebyshev's polynomials complete its options. Options of GAMG and of smoothers apply
-    to all levels; with `mg_coarse_` before their names, only to the levels of GAMG, below degree 1.
+    to all levels; with `mg_coarse_` before their names, only to GAMG's, from degree 1 down.
     """
     given = _given(petsc_options, prefix)
     krylov: dict[str, Any] = {
@@ -422,7 +422,7 @@ def multigrid(
         **smoother,
     }
     two_levels |= {f"mg_coarse_{name}": value for name, value in gamg.items()}
-    # once more with the prefix of the GAMG solver inside
+    # the user's options once more with the prefix of the GAMG solver, which is the coarse solver
     repeated_for_gamg = {
         f"mg_coarse_{name}": value
         for name, value in petsc_options.items()
@@ -434,7 +434,7 @@ def multigrid(
 
 
 def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
-    """Set up a preconditioner as multigrid with a level of degree 1 below degree 2. Collective.
+    """Make a preconditioner of degree 2 a multigrid with a level of degree 1 below. Collective.
 
     The matrix P'KP of the level includes additions to K, such as the springs of floating bodies.
     """
@@ -464,7 +464,7 @@ def _add_degree_1(pc: PETSc.PC, K: PETSc.Mat, V: Any, prescribed: Mask) -> None:
 
 
 def _set_rigid_body_modes(K: PETSc.Mat, V: Any) -> None:
-    """Tell GAMG the rigid modes of all bodies together, which serve each body, too. Collective."""
+    """Tell GAMG the rigid modes of the whole mesh, which on each body are its own. Collective."""
     nodes, dim = V.dofmap.index_map, V.mesh.geometry.dim
     points = K.createVecRight()
     points.setBlockSize(dim)

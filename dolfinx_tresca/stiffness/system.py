@@ -30,10 +30,10 @@ from dolfinx_tresca.stiffness.solver import StiffnessSolver
 
 
 class LinearSystem(PetscOwner):
-    """K u = f on the degrees of freedom that are not prescribed.
+    """K u = f, whose solution u has the prescribed values.
 
     K has identity rows and columns for prescribed degrees of freedom, where f has the prescribed
-    values. The forces that these values cause elsewhere are those of the K that was assembled last.
+    values. Elsewhere f has the loads, and the forces of these values by the K assembled last.
 
     In a mixed space u has other unknowns beside the displacement, such as a pressure p, and K is a
     saddle-point matrix: with K = (A, B'; B, -C) the displacement alone has the stiffness A + B'C^-1
@@ -57,7 +57,7 @@ class LinearSystem(PetscOwner):
 
     frames: BodyFrames | None = None
 
-    #: Whether K is the tangent of a Newton step, whose energies are not needed.
+    #: Whether K is the tangent of a Newton step of nonlinear bodies, as in `TangentSystem`.
     is_tangent = False
 
     #: Advice for an unsymmetric form, for the error message.
@@ -127,11 +127,11 @@ class LinearSystem(PetscOwner):
         return a, L
 
     def values_to_agree(self) -> dict[str, Any]:
-        """Return the forms and conditions, which the ranks compare. Not collective."""
+        """Return by name the forms and conditions that all ranks must agree on. Not collective."""
         return {"a": self.form, "L": self.loads, "bcs": self.bcs}
 
     def check_displacement(self, name: str, u: Any, choices: str = "") -> None:
-        """Check that u is a displacement; the message has its name, and choices. Collective."""
+        """Check that u is a displacement; errors say its name and other `choices`. Collective."""
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
                 f"{name} must be a displacement: a Function on the space of solution.u,{choices} "
@@ -158,7 +158,7 @@ class LinearSystem(PetscOwner):
         self._coefficients = [np.copy(values) for values in forms.coefficients(self.form)]
 
     def assemble_form(self) -> None:
-        """Assemble K without Dirichlet conditions. Collective."""
+        """Assemble K before Dirichlet conditions are eliminated. Collective."""
         if self._is_matrix:
             self.K.destroy()  # the new matrix may have another sparsity pattern
             self.K = forms.copied(self._a, self.space)
@@ -173,7 +173,7 @@ class LinearSystem(PetscOwner):
         rows = PETSc.IS().createStride(end - start, start, 1, comm=self.K.comm)
         prescribed = (start + np.flatnonzero(self.prescribed)).astype(PETSc.IntType)
         columns = PETSc.IS().createGeneral(prescribed, comm=self.K.comm)
-        # the old columns give the forces that prescribed values cause
+        # the columns before that give the forces that prescribed values cause
         self._columns = self.K.createSubMatrix(rows, columns)
         if self._is_matrix:  # are there entries off the diagonal?
             entries = np.count_nonzero(self._columns.getValuesCSR()[2])
@@ -182,8 +182,8 @@ class LinearSystem(PetscOwner):
         self.K.zeroRowsColumns(columns, 1.0)
 
     def forces_of(self, values: Array) -> PETSc.Vec:
-        """Return K u [force], owned by the caller, of prescribed `values` alone. Collective."""
-        # with the columns of K before the elimination
+        """Return K u [force], owned by the caller, for u = 0 but for `values`. Collective."""
+        # with K before the elimination; the values are those of prescribed owned unknowns
         given, forces = self._columns.createVecs()
         given.array = values
         self._columns.mult(given, forces)
@@ -196,9 +196,9 @@ class LinearSystem(PetscOwner):
         return np.array(reactions.array)
 
     def product(self, u: Array) -> PETSc.Vec:
-        """Return K u [force] at free unknowns, for a u with prescribed values u_p. Collective.
+        """Return K u [force] at free unknowns f: K_ff u_f + K_fp u_p. Collective.
 
-        At prescribed unknowns it is K_pp u_p. The caller owns the vector.
+        At prescribed unknowns p it is K_pp u_p alone. The caller owns the vector.
         """
         inside, result = self.K.createVecs()
         inside.array = np.where(self.prescribed, 0.0, u)
@@ -208,23 +208,23 @@ class LinearSystem(PetscOwner):
 
     @property
     def outdated(self) -> bool:
-        """Whether coefficients of the form have changed since K was assembled. Collective."""
+        """Whether coefficients of a UFL form have changed since K was assembled. Collective."""
         same = map(np.array_equal, forms.coefficients(self.form), self._coefficients)
         return bool(self.comm.allreduce(not all(same), op=MPI.LOR))
 
     def displacement_stiffness(self) -> PETSc.Mat:
-        """Return K, or for a mixed space the block of displacements of K. Collective."""
+        """Return K, or of a mixed space a new matrix, its displacement block. Collective."""
         return self.K if self.component is None else self.component.block(self.K)
 
     def displacement(self, w: fem.Function, name: str) -> fem.Function:
-        """Return the displacement in a Function on `space`, maybe itself, with a new name."""
+        """Return the displacement in w, a Function on `space`, renamed; not mixed: w itself."""
         u = w if self.component is None else self.component.extract(w)
         u.name = name
         return u
 
     @cached_property
     def prescribed_displacements(self) -> Mask:
-        """(owned degrees of freedom of V,) whether each is prescribed. Collective."""
+        """(owned degrees of freedom of V, not `space`) whether each is prescribed. Collective."""
         if self.component is None:
             return self.prescribed
         flags = with_owned_values(self.space, self.prescribed)
@@ -232,7 +232,7 @@ class LinearSystem(PetscOwner):
 
     @property
     def negative_pivots(self) -> int:
-        """Number of free unknowns of all ranks that are no displacements: see `cholesky`."""
+        """Number of free unknowns that are no displacements; see `cholesky`. Collective."""
         return int(self.comm.allreduce(int((~self.prescribed & ~self.moves).sum())))
 
     def strain_energy(self, u: PETSc.Vec) -> float:
@@ -250,7 +250,7 @@ class LinearSystem(PetscOwner):
 
     @contextmanager
     def loaded(self, L: ufl.Form) -> Iterator[None]:
-        """Replace the load inside the block, which is not assembled. Collective."""
+        """Replace the form L inside the block; f is not assembled. Collective."""
         given = self._L
         self._L = forms.compiled("L", L, self.V.mesh, self.entity_maps)
         try:
@@ -259,7 +259,7 @@ class LinearSystem(PetscOwner):
             self._L = given
 
     def assemble_forces(self) -> fem.Function:
-        """Return the forces of L alone, without the effect of prescribed values. Collective."""
+        """Return the forces of L alone [force], zero except at free displacements. Collective."""
         forces = fem.Function(self.space)
         self._assemble_L(forces.x)
         forces.x.array[: len(self.moves)][~self.moves] = 0.0
@@ -267,7 +267,7 @@ class LinearSystem(PetscOwner):
         return forces
 
     def _assemble_L(self, x: Any) -> None:
-        """Set the owned entries of a `dolfinx.la.Vector` to the assembled L. Collective."""
+        """Set the owned entries of a `la.Vector` to L, turned into the `frames`. Collective."""
         x.array[:] = 0.0
         if self._L is not None:
             fem.assemble_vector(x.array, self._L)
@@ -276,7 +276,7 @@ class LinearSystem(PetscOwner):
             x.array[:] = self.frames.into_frames(x.array)
 
     def prescribed_values(self) -> Array:
-        """Return the present prescribed values, in the order of owned unknowns. Collective."""
+        """Return the present values of prescribed owned unknowns, in the frames. Collective."""
         values = fem.Function(self.space)
         for bc in self.bcs:
             bc.set(values.x.array)
@@ -289,8 +289,8 @@ class LinearSystem(PetscOwner):
     ) -> fem.Function:
         """Return the displacement to be added to u as prescribed values change. Collective.
 
-        Contact forces and loads stay, and u [length] has the previous values. The result is
-        inaccurate (`ROUGH`), since it only predicts a configuration.
+        Contact forces and loads stay, and u [length] has the previous prescribed values. An
+        iterative solver is accurate to `ROUGH` only: the result predicts a configuration.
         """
         before, response = fem.Function(self.space), fem.Function(self.space)
         before.x.array[slice(None) if self.component is None else self.component.dofs] = u.x.array
@@ -320,7 +320,7 @@ class LinearSystem(PetscOwner):
         self._check_load()
 
     def _check_load(self) -> None:
-        """Check that f is finite, and zero where other unknowns are prescribed. Collective."""
+        """Check that f is finite, and that prescribed pressures are zero. Collective."""
         values = self.f.x.array[: len(self.prescribed)][self.prescribed & (self.signs < 0.0)]
         with errors_on_all_ranks(self.comm):
             if values.any():
