@@ -31,14 +31,9 @@ WIDE = 1e6
 
 
 class BlockOnFloor:
-    """The matrices of a scene on one rank.
+    """K (n, n) and f (n,) of a scene on one rank, and nodes (m,) of the lower face.
 
-    Attributes:
-        K: (n, n) stiffness.
-        f: (n,) load.
-        nodes: (m,) of the lower face.
-        gap: (m,) height over the floor.
-        areas: (m,) of rings if the block is one.
+    These have heights `gap` over the floor and `areas`, of rings if the block is one.
     """
 
     def __init__(self, scene: Scene, height: float, *, ring: bool) -> None:

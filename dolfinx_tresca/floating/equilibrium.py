@@ -208,14 +208,14 @@ class FloatingBodies:
         return FloatingBodies(self.modes, U, stiffness, jumps, motions)
 
     def describe(self, components: Array) -> str:
-        """Return the names of the tools that move, and of their motions, for a message. Collective.
+        """Return names of the tools, or else bodies, that move, and of their motions. Collective.
 
-        If no tool moves, `RigidBodyModes.describe` answers. Components are (k,) or (k, columns).
+        The motions (k,) or (k, columns) of tools count if they are as large as those of bodies.
         """
-        if not self.tool_motions:
-            return self.modes.describe(components)
-        of_bodies, of_tools = np.split(components, [-len(self.tool_motions)])
-        if not self.modes.comm.bcast(bool(of_tools.any())):
+        of_bodies, of_tools = np.split(components, [len(components) - len(self.tool_motions)])
+        # what nothing balances moves without end, and a tool that is balanced hardly at all
+        most, tool_most = (np.abs(values).max(initial=0.0) for values in (of_bodies, of_tools))
+        if not self.modes.comm.bcast(bool(tool_most > 1e-6 * most)):
             return self.modes.describe(of_bodies)
         amounts = np.linalg.norm(of_tools.reshape(len(of_tools), -1), axis=1)
         moving: dict[str, list[str]] = {}
@@ -231,9 +231,10 @@ class FloatingBodies:
         A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
         node, which does not depend on the axes. A resultant below the rounding of its terms is 0.
         """
-        # `add_components` (nodes, degrees of freedom) adds up the components at each node
+        # adds up the components at each node; in mixed spaces, U = 0 and it adds any unknowns
         U, dim = self.displacements, self.modes.dim
-        add_components = kron(eye_array(len(f) // dim), np.ones((1, dim)), format="csr")
+        add_components = kron(eye_array(-(-len(f) // dim)), np.ones((1, dim)), format="csr")
+        add_components = add_components[:, : len(f)]
         lengths, forces = (add_components @ U.power(2)).sqrt(), np.sqrt(add_components @ f**2)
         terms: Array = reduce_array(self.modes.comm, lengths.T @ forces)
         result: Array = reduce_array(self.modes.comm, U.T @ f)

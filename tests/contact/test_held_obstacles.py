@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from logged import logged
 
+import ufl
 from dolfinx import fem, mesh
 
 from dolfinx_tresca import (
@@ -25,6 +26,8 @@ from dolfinx_tresca import (
 )
 from scenes.blocks import ABOVE, BELOW, LEFT, block
 from scenes.elasticity import elasticity
+from scenes.patches import LOWER, patch
+from scenes.pressures import with_pressure
 from scenes.revolution import ring_elasticity
 from scenes.rubber_block import rubber_block
 
@@ -97,14 +100,17 @@ def test_load_steps_with_a_held_and_a_moved_direction(comm):
     assert solution.total_dissipation == pytest.approx(expected.total_dissipation, rel=1e-6)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_force_and_moment_are_in_equilibrium(comm, dim):
+@pytest.mark.parametrize(("dim", "mixed"), [(2, False), (3, False), (2, True)])
+def test_force_and_moment_are_in_equilibrium(comm, dim, mixed):
     tool = plane() if dim == 3 else RigidPlane(point=(0.5, 1.0), normal=(0, -1))
     about = (0.6, 0.45, 1.0) if dim == 3 else (0.6, 1.0)
     force = (0.05, 0.02, -1.0) if dim == 3 else (0.05, -1.0)
     moment = (0.01, -0.02, 0.005) if dim == 3 else 0.01
     tool.held_by(force=force, moment=moment, about=about)
-    solution = under(comm, tool, (4,) * (dim - 1) + (3,)).problem().solve(rtol=RTOL)
+    scene = under(comm, tool, (4,) * (dim - 1) + (2,), degree=1 + mixed)
+    if mixed:  # with an odd number of unknowns
+        scene = with_pressure(scene, 1000.0, 0.3)
+    solution = scene.problem().solve(rtol=RTOL)
     solution.raise_if_failed()
     contact = solution.pair_resultants[0].about(about)
     assert np.abs(contact.force - force).max() < ACCURACY
@@ -212,6 +218,17 @@ def test_a_tool_that_nothing_holds(comm, held, message):
     assert "a rigid plane through (0.5, 0.5, 1)" in str(caught.value)
     tool.held_by(free=())
     problem.solve().raise_if_failed()
+
+
+def test_a_block_that_is_lifted_beside_a_tool(comm):
+    """The lower block carries the tool: it is not the tool that nothing holds."""
+    tool = RigidPlane((0, 1), (0, -1))
+    tool.held_by(force=(0, -1), free=("y",))
+    scene = patch(comm, "triangle", span=[(0.0, 0.4)], friction=Coulomb(0.3))
+    lift = ufl.inner(fem.Constant(scene.mesh, (0.0, 1.0)), ufl.TestFunction(scene.V)) * ufl.dx
+    pairs = [*scene.pairs, ContactPair(scene.facet_tags, LOWER, tool, Frictionless())]
+    with pytest.raises(MechanismError, match=r"the loads on body \d of 2.*along y"):
+        scene.problem(pairs=pairs, bcs=scene.bcs[1:], L=lift).solve()
 
 
 @pytest.mark.parametrize(

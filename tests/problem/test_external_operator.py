@@ -119,10 +119,9 @@ def test_the_von_mises_demo_with_contact():
     """A tube that yields under inner pressure until a rigid hole holds it.
 
     The steps are those of the package's demo of von Mises' plasticity, whose unknown is the
-    increment of displacement in a load step. Contact adds a pair, whose gap begins at the
-    displacement before the step, and another class of problem. Oracle: a fully plastic tube carries
-    the integral of 2 / sqrt(3) (yield stress + hardening) over ln r, and the hole the remainder of
-    the pressure.
+    increment of displacement in a load step; the gap begins at the displacement before it. Oracle:
+    a fully plastic tube carries the integral of 2 / sqrt(3) (yield stress + hardening) over ln r,
+    and the hole the remainder of the pressure.
     """
     square = block(MPI.COMM_SELF, (2, CELLS), degree=2)
     mesh, V, tags = square.mesh, square.V, square.facet_tags

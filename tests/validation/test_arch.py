@@ -29,13 +29,9 @@ REFUSED = r"no contact forces balance the loads on body \d+ of 25"
 
 
 def stands(thickness, voussoirs, friction, chords):
-    """Return whether forces at the corners of rigid voussoirs balance their weights.
+    """Return whether forces at the corners of so many rigid voussoirs balance their weights.
 
-    Args:
-        thickness: over the radius.
-        voussoirs: their number.
-        friction: coefficient of friction.
-        chords: number of chords that stand for the arcs of a voussoir.
+    The thickness is that over the radius; chords, in this number, stand for a voussoir's arcs.
     """
     phi = np.linspace(-0.5 * np.pi, 0.5 * np.pi, voussoirs + 1)
     radii = 1.0 + thickness * np.array([-0.5, 0.5])

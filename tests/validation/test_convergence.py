@@ -71,10 +71,8 @@ def second_differences(values):
 def test_no_oscillation_on_meshes_that_do_not_match(comm, cell, degree, ratio):
     """Errors of the pressure do not alternate from node to node.
 
-    With degree 1 the surface of a primary side three times as coarse is a polygon, which a fine
-    secondary side feels: its pressure follows the kinks, where the slope changes by H |w''|. That
-    is the stress E H |w''|, repeats with the coarse cells, and does not alternate from node to
-    node.
+    With degree 1 a primary side three times as coarse is a polygon, whose kinks the pressure of a
+    fine secondary side follows: the stress E H |w''| repeats with the coarse cells.
     """
     dim = dim_of(cell)
     divisions = {"2:3": (8, 12), "1:3": (6, 18), "3:1": (12, 4)}[ratio]

@@ -57,14 +57,9 @@ BORE = 10.0
 
 @dataclass(frozen=True)
 class RandomScene:
-    """A scene, and how its obstacle moves.
+    """A scene with small sliding; `way` is how its obstacle, the ball, has moved since a problem.
 
-    Attributes:
-        scene: with small sliding.
-        u: the displacement, if the bodies are hyperelastic, else None.
-        ring: whether the bodies are of revolution.
-        ball: the obstacle, or None.
-        way: translation and rotation of the obstacle since a problem was made.
+    With hyperelastic bodies u is their displacement; `ring` says if bodies are of revolution.
     """
 
     scene: Scene
