@@ -1,9 +1,9 @@
 """Contact of elastic bodies with Coulomb or Tresca friction, for FEniCSx (DOLFINx).
 
-For readers of the code: the page in the `__init__.py` of the room (folder) `dual` follows one solve
-through all rooms, that of `problem` continues with nonlinear bodies. Imports go downwards only:
-adapt, problem, derivatives, contact, result, output, solution and guaranteed, dual, floating,
-pairing and stiffness and solvers, scene, _base. See docs/contribute/architecture.md.
+For readers of the code: the page in the `__init__.py` of the room (folder) `dual` follows a solve
+of linear bodies from call to table, that of `problem` continues with nonlinear bodies. Rooms import
+only later ones of: adapt, problem, derivatives, contact, result, output, solution and guaranteed,
+dual, floating, pairing and stiffness and solvers, scene, _base (docs/contribute/architecture.md).
 """
 
 import dolfinx_tresca._base.requirements  # first: it loads MPI before DOLFINx

@@ -15,7 +15,7 @@ class InputError(ContactError, ValueError):
 
 
 class _WithMotion(ContactError):
-    """An error about a motion of bodies."""
+    """Base class of errors about a motion of bodies, which they keep as an attribute."""
 
     def __init__(self, message: str, motion: Any) -> None:
         super().__init__(message)
@@ -29,7 +29,7 @@ class MechanismError(_WithMotion, InputError):
 
     Attributes:
         motion: the motion of the bodies, a Function of the displacement's space named "motion"
-            whose greatest nodal length is 1; one of the motions if contact leaves several free.
+            with the greatest nodal length 1, zero if only tools move; any of several free motions.
     """
 
 
@@ -45,7 +45,7 @@ class StiffnessError(ContactError):
     """The stiffness matrix is not symmetric, is indefinite, or a solve with it failed.
 
     Attributes:
-        evidence: clause that shows that K is indefinite; empty if that is not the cause.
+        evidence: evidence that K is indefinite, as text for messages; empty for other causes.
     """
 
     evidence = ""

@@ -19,8 +19,8 @@ class NewtonProgress:
         number: number of the step since the solve began, from 1 on.
         fraction: fraction of the whole change of load at which this step seeks the equilibrium, in
             (0, 1]. The fraction is reduced if the method has failed for a larger fraction.
-        residual: residual of the previous step, as in `NewtonStep`; infinite in the first step.
-        ended: whether Newton's method has converged.
+        residual: residual of the newest complete step, see `NewtonStep`; infinite before the first.
+        ended: True in an additional call at the end, when the whole load is in equilibrium.
     """
 
     number: int
@@ -31,17 +31,17 @@ class NewtonProgress:
 
 @dataclass(frozen=True)
 class Iteration:
-    """The state of the solver at the beginning of an outer iteration.
+    """The state of the solver at its start, or after an outer iteration.
 
     Attributes:
-        number: number of the iteration, from 0 on.
+        number: number of outer iterations so far, 0 at the start.
         products: number of applications of A so far.
         residual: natural residual, relative to its value at lambda = 0.
-        reached: value of the first stopping criterion that is not met: the imbalance of forces on
-            floating bodies, the residual, the bound of the relative energy error, or
-            `ContactSolution.local_error`.
-        wanted: value of `reached` at which the criterion is met: 1e-10, `rtol`, `accuracy` (by
-            default a fraction of the estimated error of the mesh), or `local_accuracy`.
+        reached: value of the first stopping criterion that is not met, else of the last criterion:
+            the imbalance of forces on floating bodies, the residual, `ContactSolution.local_error`,
+            or the bound of the relative energy error.
+        wanted: value of `reached` at which the criterion is met: 1e-10, `rtol`, `local_accuracy`,
+            or `accuracy` (by default a fraction of the estimated error of the mesh).
         q: the dual energy q(lambda) [energy].
         newton: the step of Newton's method that the iteration belongs to; None for linear bodies.
         configuration: number of the configuration in which the surfaces of linear bodies are
@@ -61,8 +61,8 @@ class Iteration:
     ended: bool = False
 
 
-#: Function that is called on every rank before each iteration. If it returns True on any rank, the
-#: solve ends with the status STOPPED.
+#: Function that is called on every rank at the start and after each iteration. If it returns True
+#: on any rank, the solve ends with the status STOPPED, unless it has converged.
 Observer: TypeAlias = Callable[[Iteration], "bool | None"]
 
 

@@ -10,7 +10,7 @@ from dolfinx_tresca._base.arguments import check_word, checked_integer, checked_
 Method: TypeAlias = Literal["projected_newton", "gimssn", "imssn", "mssn", "ssn"]
 Accuracy: TypeAlias = float | Literal["balanced"]
 
-#: Defaults of `rho_sigma` by method, from benchmarks/README.md; 1 for the other methods.
+#: Method -> default of `rho_sigma`, from benchmarks/README.md; 1 for projected Newton.
 _RHO_SIGMA: dict[str, float] = {"gimssn": 1.9, "imssn": 3.0, "mssn": 3.0, "ssn": 3.0}
 
 
@@ -41,7 +41,7 @@ class SolverOptions:
             solve stops when this criterion and the criteria of "balanced" are met. Nodal pressures
             and tractions that are exact to several digits need a small value, such as 1e-6. None:
             `accuracy` alone decides.
-        max_iterations: largest number of outer (Newton) iterations.
+        max_iterations: largest number of outer iterations, for each `NewtonStep` and configuration.
         rho_sigma: step length rho of the projection times the estimated largest eigenvalue of A.
             GIMSSN and projected Newton take values in (0, 2), for which GIMSSN converges if slip
             bounds are given and supports hold all bodies; the other methods take any positive
@@ -108,7 +108,7 @@ class SolverOptions:
         return replace(self, **given)
 
     def at_least(self, accuracy: float) -> SolverOptions:
-        """Return options whose `rtol`, or else `accuracy` if a number, is at most a value."""
+        """Return options whose `rtol`, or else a number as `accuracy`, is at most the argument."""
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
         is_number = self.accuracy != "balanced"
@@ -116,17 +116,17 @@ class SolverOptions:
 
     @property
     def step_factor(self) -> float:
-        """`rho_sigma`, or the default of the method if it is None."""
+        """rho times the largest eigenvalue of A: `rho_sigma`, or the method's default if None."""
         return _RHO_SIGMA.get(self.method, 1.0) if self.rho_sigma is None else self.rho_sigma
 
     @property
     def balanced(self) -> bool:
-        """Whether the accuracy of the iteration follows from the estimated error of the mesh."""
+        """Whether `accuracy` is "balanced" with the mesh's estimated error, and `rtol` is None."""
         return self.rtol is None and self.accuracy == "balanced"
 
     @property
     def target(self) -> str:
-        """The stopping criterion in words."""
+        """The stopping criterion in words, for tables and messages."""
         if self.rtol is not None:
             return f"residual {self.rtol:.0e}"
         if self.balanced:

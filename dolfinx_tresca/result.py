@@ -33,7 +33,7 @@ from dolfinx_tresca.solution.forces import BoltForce, Resultant
 from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.table import LISTED_ROWS, Row, Tabulated, Units
 
-#: What helps where an iteration has ended with a status.
+#: Status with which an iteration has failed -> what helps.
 ADVICE = {
     ContactStatus.MAX_ITERATIONS: "Allow more iterations, or request less accuracy",
     ContactStatus.STAGNATED: "Rounding errors are as large as the residual: request less accuracy",
@@ -55,7 +55,7 @@ class ContactSolution(Evaluation, Tabulated):
             that turn with finite sliding the displacement v in the frame of each body, with
             u = u_R + R v, the rigid motion u_R and the rotation R of the frame; in all other cases
             u itself.
-        contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of both
+        contact_force: -N'lambda_nu - T'lambda_tau [force], the contact forces on the nodes of all
             bodies, in the space of u. At free degrees of freedom, their work with v is
             a(u, v) - L(v); at prescribed ones, a(u, v) - L(v) also contains the reactions of the
             supports.
@@ -127,8 +127,8 @@ class ContactSolution(Evaluation, Tabulated):
             weighted by the sizes of the forces; i and j count from 0 in the order of
             `body_resultants`. See `resultants_between`.
         body_names: name of each body: the name of the tag of its cells in the mesh file (see
-            `read_gmsh`), with the number of the body if several bodies share this tag. Bodies
-            without such a tag have their number as name.
+            `read_gmsh`). If several bodies share this tag, the name is like "body 2 (roller)"; for
+            bodies without such a tag, it is like "body 2". Numbers count from 1.
         reactions: name of each support that `problem.reaction` was asked for -> its force and
             moment; they are in tables and reports.
         timings: seconds of each phase, the largest over the ranks.
@@ -183,7 +183,7 @@ class ContactSolution(Evaluation, Tabulated):
 
     @property
     def slip(self) -> fem.Function | None:
-        """Slip of the only pair [length], secondary minus primary side; None without friction."""
+        """Slip of the only pair over all steps [length], secondary minus primary; see `surface`."""
         return self.surface.slip
 
     @property
@@ -212,7 +212,7 @@ class ContactSolution(Evaluation, Tabulated):
         tractions. Those on the primary side are opposite. `body_resultants` sums over all pairs.
 
         Args:
-            point: (d,) reference point of the moments [length], by default of `body_resultants`.
+            point: (d,) reference point of the moments [length], by default as in `body_resultants`.
 
         Raises:
             InputError: the point does not have d finite coordinates.
@@ -229,7 +229,7 @@ class ContactSolution(Evaluation, Tabulated):
             body: the body that feels the force: its index in the order of `body_resultants`, or
                 its name in `body_names`.
             other: the body that exerts the force, given in the same way.
-            point: (d,) reference point of the moment [length], by default of `body_resultants`.
+            point: (d,) reference point of the moment [length], by default as in `body_resultants`.
 
         Raises:
             InputError: an index belongs to no body, both are equal, or the point is not finite.
@@ -322,7 +322,7 @@ class ContactSolution(Evaluation, Tabulated):
                 and `MeshTags` of its cells, such as materials, with 0 in cells without a tag.
 
         Raises:
-            InputError: the suffix is unknown, a field is of another kind or has a name that is
+            InputError: the suffix is not `.pvd`, a field is of another kind or has a name that is
                 taken, or the file cannot be written.
         """
         SolutionWriter(self.comm.bcast(str(path))).write(self, 0.0, fields=fields)
@@ -335,7 +335,7 @@ class ContactSolution(Evaluation, Tabulated):
             fields: see `write`.
 
         Returns:
-            the whole model, gathered; None on other ranks.
+            The blocks of all ranks; None on all ranks but the first.
 
         Raises:
             InputError: a field is of another kind or has a name that is taken.
@@ -355,8 +355,8 @@ class ContactSolution(Evaluation, Tabulated):
     def report(self, path: str | Path, *, steps: Sequence[ContactSolution] = ()) -> None:
         """Write a report: one HTML page, which needs neither a server nor a network. Collective.
 
-        It has the table and the picture of the solution, with the pairs that have the largest
-        forces, at most 8; tables of the forces between bodies, the load steps and the problem; the
+        It has the table of the solution; a picture with the pairs that have the largest forces, at
+        most 8; a graph of the forces between bodies; tables of the load steps and the problem; the
         last warnings, the versions of all software, and the script. The first rank needs pyvista
         and matplotlib, as for `plot`.
 

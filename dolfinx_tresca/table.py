@@ -16,8 +16,8 @@ Quantity: TypeAlias = Literal["length", "stress", "force", "energy"]
 #: A name, indented if it belongs to the row above, and its value.
 Row: TypeAlias = tuple[str, str]
 
-#: Largest number of rows of a list. Of a longer list the first rows are shown, and the number of
-#: the remaining rows.
+#: Largest number of rows of a list in a table. Of a longer list the first rows are shown, and the
+#: number of the remaining rows.
 LISTED_ROWS = 8
 
 
@@ -29,7 +29,7 @@ class Units:
         length: unit of coordinates, displacements, slips and gaps.
         stress: unit of moduli, pressures, tractions and slip bounds.
         force: unit of resultant forces in 3D and of axisymmetric bodies; in plane strain, forces
-            and energies are per unit of thickness. By default of stress and length, "MPa mm²".
+            and energies are per unit of thickness. By default made of both: "MPa mm²".
 
     Example:
         >>> from dolfinx_tresca import Units
@@ -55,7 +55,7 @@ class Units:
 
         Args:
             quantity: quantity whose unit is returned, such as "stress".
-            dim: dimension, 3 for axisymmetric bodies; in 2D, forces, energies are per thickness.
+            dim: dimension; 3 for axisymmetric bodies. In 2D forces and energies are per thickness.
         """
         if quantity == "length":
             return self.length

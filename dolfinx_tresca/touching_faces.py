@@ -29,15 +29,15 @@ from dolfinx_tresca.table import Row, Tabulated
 
 
 class TouchingFaces(NamedTuple):
-    """Measures of two faces that touch or nearly touch, where their distance is small.
+    """Measures of two faces, taken where they are within the `distance` of `contacts`.
 
     Gaps are those of the problem: means at the nodes of the secondary face, weighted by dual basis
-    functions. At a ball that touches a plane they are off by about its height over a facet.
+    functions. Where a ball touches a plane, they are off by about the ball's height over a facet.
 
     Attributes:
-        area: area of the secondary face there, in 2D its length [length^2].
-        gap: least gap there [length]; 0 if faces overlap.
-        overlap: largest overlap there [length]; 0 if there is none.
+        area: area of this part of the secondary face [length^2], in 2D its length [length].
+        gap: least gap [length]; 0 if the faces overlap.
+        overlap: largest overlap [length]; 0 if there is none.
     """
 
     area: float
@@ -52,7 +52,7 @@ class Contacts(Tabulated, list[ContactPair]):
 
     Attributes:
         measures: (secondary, primary) tags -> area, gap and overlap.
-        distance: largest distance up to which faces count as touching [length].
+        distance: largest of the distances up to which two faces are paired [length].
     """
 
     def __init__(
@@ -103,7 +103,7 @@ def contacts(
         **options: further arguments of all pairs, such as `sliding` (see `ContactPair`).
 
     Returns:
-        A list of `ContactPair`, with a table.
+        A list of `ContactPair`, whose areas and gaps `print` shows in a table.
 
     Raises:
         InputError: an argument is wrong.
@@ -164,7 +164,7 @@ def contacts(
 
 
 def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
-    """Return the measures of a pair's faces where they are less than `near` apart, else None.
+    """Return measures of a pair's faces where they are within `near` [length]; None if nowhere.
 
     The faces are paired as in a problem, but without prescribed displacements. Collective.
     """
@@ -181,7 +181,7 @@ def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
 
 
 def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
-    """Return tag -> face, for tags of outer facets of one body. Collective.
+    """Return tag -> face, for tags whose facets are on the outside of one body. Collective.
 
     Tags of facets inside of a body are ignored, and tags of several bodies are logged.
     """

@@ -36,16 +36,16 @@ def collective(
 ) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Decorate a collective function so that the ranks compare its arguments before its body runs.
 
-    The body may then check values without communication. Data that differ between the ranks by
-    design, such as the values of a Function, are not compared. The comparison sends some 16 bytes
-    to all ranks. If the arguments of a rank are wrong and have no communicator, the rank compares
-    them with the processes of its last collective call.
+    If they differ, all ranks raise the same InputError, where they would wait for each other. Data
+    that differ by design, such as the values of a Function, are not compared. Each rank sends a
+    digest of 16 bytes. If the arguments of a rank are wrong and have no communicator, the rank
+    compares them with the processes of its last collective call.
 
     Args:
-        find_comm: function from a mapping name -> argument to the communicator, or to None if
-            no argument has a communicator; the body must then raise an error.
+        find_comm: function from a mapping name -> argument to the communicator, such as `comm_of`
+            returns, or to None if no argument has one; the body must then raise an error.
         ignored: names of arguments that may differ between the ranks.
-        extra_values: function from `self` to a mapping name -> further value that must agree.
+        extra_values: function from `self` to a mapping name -> further value that is compared.
     """
 
     def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -85,9 +85,9 @@ comm_of_self = comm_of("self")
 
 
 def _mesh_comm(value: Any) -> MPI.Comm | None:
-    """Return the communicator of a value: itself, its own or its mesh's; None without one.
+    """Return the communicator that a value is or has, or its mesh has; None without one.
 
-    Of a list, and of the arguments of a form, it is the first communicator.
+    Lists have that of their first element with a communicator, and forms that of their arguments.
     """
     if isinstance(value, list | tuple):
         return next((comm for comm in map(_mesh_comm, value) if comm is not None), None)
@@ -112,7 +112,7 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
     """
     results: list[_T] = []
 
-    def no_values() -> dict[str, Any]:  # calls the function where ranks compare their calls
+    def no_values() -> dict[str, Any]:  # calls the function where exceptions reach all ranks
         results.append(function())
         return {}
 
@@ -121,14 +121,14 @@ def call_on_all_ranks(comm: MPI.Comm, name: str, function: Callable[[], _T]) -> 
 
 
 def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str, Any]]) -> None:
-    """Raise an InputError unless all ranks are in the same call with equal values. Collective.
+    """Raise an InputError on all ranks unless all make the same call with equal values. Collective.
 
     Args:
         comm: the communicator.
-        where: the name of the call.
+        where: the name of the call, for the comparison and for messages.
         values: function that returns name -> value; its exception on one rank is raised on all.
     """
-    # a communicator of the same processes serves again, and becomes the last entry
+    # the duplicate for the same processes, if there is one, serves again and becomes the last entry
     same = (MPI.IDENT, MPI.CONGRUENT)
     numbers = [k for k, own in enumerate(_comms) if MPI.Comm.Compare(own, comm) in same]
     _comms.append(_comms.pop(numbers[0]) if numbers else comm.Dup())
@@ -143,7 +143,7 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
 
 
 def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputError:
-    """Return an error that tells how the first rank that differs from rank 0 does so.
+    """Return an error that says in what the first rank that differs from rank 0 does so.
 
     `rank_texts` has for each rank the name of its call, and name -> text of the values.
     """
@@ -167,7 +167,7 @@ def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputErr
 def _described(name: str, value: Any) -> Iterator[tuple[str, str]]:
     """Yield name and text of a value, and of its parts, but not of distributed data.
 
-    A list of numbers is one value. An object with `values_to_agree` says itself what is compared.
+    A list of numbers is a single value. Objects with `values_to_agree` say what is compared.
     """
     if hasattr(value, "values_to_agree"):
         items = {f"{name}.{key}": item for key, item in value.values_to_agree().items()}

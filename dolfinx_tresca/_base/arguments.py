@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.errors import InputError, shown
 
-#: What error messages call some intervals.
+#: Interval -> its name in error messages; other intervals appear as they are.
 _IN_WORDS = {
     "(0, inf)": "a positive number",
     "(0, inf]": "a positive number",
@@ -21,7 +21,7 @@ _IN_WORDS = {
 
 
 def checked_number(name: str, value: Any, interval: str = "(0, inf)") -> float:
-    """Return a number in an interval, such as "(0, 1]"; raise an InputError for other values."""
+    """Return a float in an interval, such as "(0, 1]"; raise an InputError for other values."""
     number = real(value)
     low, high = map(float, interval[1:-1].split(","))
     is_excluded = {low: interval[0] == "(", high: interval[-1] == ")"}  # for both ends
@@ -49,7 +49,7 @@ def real_array(value: npt.ArrayLike) -> Array:
 
 
 def checked_vector(name: str, value: Any, *counts: int, nonzero: bool = False) -> Array:
-    """Return a vector of finite numbers, as many as one of the counts; else raise an InputError."""
+    """Return a vector (n,) of finite numbers, n one of `counts`; else raise an InputError."""
     try:
         vector = real_array(value)
     except (TypeError, ValueError):
@@ -63,12 +63,12 @@ def checked_vector(name: str, value: Any, *counts: int, nonzero: bool = False) -
 
 
 def check_type(name: str, value: Any, kinds: Any, wanted: str, advice: str = "") -> None:
-    """Check that an argument has a type, or one of a union; `advice` is one more sentence."""
+    """Check that an argument is of the types `kinds`; the error says `wanted` and then `advice`."""
     if not isinstance(value, kinds):
         raise InputError(f"{name} must be {wanted}, found {shown(value)}.{advice}")
 
 
 def check_word(name: str, value: Any, choices: Sequence[str]) -> None:
-    """Check that a value is one of several words."""
+    """Check that the argument `name` is one of several words, such as a method."""
     if not isinstance(value, str) or value not in choices:
         raise InputError(f"{name} must be one of {', '.join(choices)}, found {shown(value)}.")

@@ -37,7 +37,7 @@ def scaled_rows(matrix: csr_array, factors: Array) -> csr_array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the cross products (..., 3); for few vectors, np.cross takes three times as long."""
+    """Return the cross products (..., 3) of vectors; np.cross takes three times as long for few."""
     result = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=result[..., i])
@@ -61,7 +61,7 @@ def in_space(vectors: Array) -> Array:
 
 
 def dense(matrix: Matrix) -> Array:
-    """Return a matrix as a dense array."""
+    """Return a matrix, dense or sparse, as a dense array (n, m)."""
     return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
 
 
@@ -87,7 +87,7 @@ def integer(value: Any) -> int | None:
 
 
 def splitmix64(x: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Scramble the bits of integers (n,), one to one: SplitMix64 (Steele, Lea and Flood 2014)."""
+    """Return random integers (n,) by numbers (n,), one to one: SplitMix64 (Steele et al. 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return np.asarray(x ^ (x >> np.uint64(31)))

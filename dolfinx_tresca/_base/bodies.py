@@ -1,4 +1,4 @@
-"""The bodies (connected parts) of a mesh, with numbers independent of the partition."""
+"""The bodies (connected parts) of a mesh, with numbers that do not depend on the partition."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     fragment = connected_components(graph, directed=False)[1][:node_count]
 
     # Fragments on two ranks belong to one body if a node of one is a ghost in the other. They get
-    # numbers over all ranks, and nodes that of the fragment on the rank that owns them (`label`).
+    # numbers over all ranks; `label` is the number of a node's fragment on the rank that owns it.
     counts = comm.allgather(int(fragment.max(initial=-1)) + 1)
     fragment = fragment + sum(counts[: comm.rank])
     label = la.vector(nodes, 1, np.float64)
@@ -47,14 +47,14 @@ def label_bodies(V: Any) -> npt.NDArray[np.int64]:
     graph = csr_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(total, total))
     count, body_of_fragment = connected_components(graph, directed=False)
     body = body_of_fragment[fragment]
-    return np.asarray(_places_of_bodies(V, body, count)[body])
+    return np.asarray(_final_numbers(V, body, count)[body])
 
 
 def couples_bodies(K: Any, body: npt.NDArray[np.int64]) -> bool:
-    """Return whether a matrix couples bodies, as springs between them do. Collective.
+    """Return whether the matrix K couples bodies, as springs between them do. Collective.
 
-    If K couples none, K D = D K for a diagonal matrix D with a number for each body (`body` (n,) is
-    that of each of this rank's rows): to the last bit, for powers of 2 (repeated from body 1,000).
+    `body` (n,) is the body of each of this rank's rows. Without coupling, K D x = D K x for any x,
+    where D multiplies each body by a power of 2: to the last bit. Powers repeat from body 1,000.
     """
     D, (x, y) = np.exp2(body % 1000 - 500), K.createVecs()
     x.array = values = np.random.default_rng(0).uniform(0.5, 1.0, len(body))
@@ -65,10 +65,10 @@ def couples_bodies(K: Any, body: npt.NDArray[np.int64]) -> bool:
     return bool(K.comm.tompi4py().allreduce(bool(differs.any()), op=MPI.LOR))
 
 
-def _places_of_bodies(V: Any, body: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:
-    """Return the place (count,) of each body in the order of `label_bodies`. Collective.
+def _final_numbers(V: Any, body: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:
+    """Return the number (count,) of each body in the order of `label_bodies`. Collective.
 
-    `body` (nodes,) is the body of each node of V on this rank, ghosts included.
+    `body` (nodes,) is a preliminary number of the body of each node on this rank, with ghosts.
     """
     # the box of each body, and the least number of its nodes in the mesh file
     comm, geometry = V.mesh.comm, V.mesh.geometry
@@ -76,20 +76,20 @@ def _places_of_bodies(V: Any, body: npt.NDArray[Any], count: int) -> npt.NDArray
     in_file = np.asarray(geometry.input_global_indices)[geometry_dofmap(V.mesh)]
     body_of_cell = body[V.dofmap.list[: len(in_file), 0]]
     least = _extremes(comm, body_of_cell, count, in_file.min(axis=1, keepdims=True))[:, 0]
-    # places of coordinates among the sorted ones; steps that are rounding do not count
-    places, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
-    for place, values in zip(places.T, bounds.T, strict=True):
+    # coordinates as levels 0, 1, ...: those that are equal up to rounding have the same level
+    levels, rounding = np.empty(bounds.shape), 1e-10 * np.abs(bounds).max(initial=0.0)
+    for level, values in zip(levels.T, bounds.T, strict=True):
         ascending = np.argsort(values)
         steps = np.diff(values[ascending], prepend=values[ascending[:1]])
-        place[ascending] = np.cumsum(steps > rounding)
+        level[ascending] = np.cumsum(steps > rounding)
     # the last key of lexsort counts first; argsort inverts the order
-    return np.asarray(np.argsort(np.lexsort([least, *places.T[::-1]])))
+    return np.asarray(np.argsort(np.lexsort([least, *levels.T[::-1]])))
 
 
 def _extremes(comm: MPI.Comm, body: npt.NDArray[Any], count: int, values: Array) -> Array:
-    """Return (count, 2 k): for each body the least of its values (n, k), then the largest.
+    """Return for each body the least of each column of values, then the largest: (count, 2 k).
 
-    `body` (n,) is the body of each row. A body without rows has inf, and then -inf. Collective.
+    The rows of the values (n, k) belong to `body` (n,); without rows: inf, then -inf. Collective.
     """
     k = values.shape[1]
     ranges: Array = np.full((count, 2 * k), np.inf)
@@ -101,11 +101,11 @@ def _extremes(comm: MPI.Comm, body: npt.NDArray[Any], count: int, values: Array)
 
 @dataclass(frozen=True)
 class Bodies:
-    """The bodies of a mesh.
+    """The bodies of a mesh, `count` in number.
 
     Attributes:
         tag_names: for each body the name of the tag that all its cells have; "" if there is none.
-        label: (owned nodes of V,) the body of each node, in 0, ..., count - 1.
+        label: (owned nodes of V,) the body of each node, from 0 to count - 1.
         bounds: (count, 6) bounding box of each body: least x, y, z, then largest [length].
         node_counts: (count,) number of nodes of V in each body.
         arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
@@ -136,7 +136,7 @@ class Bodies:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Unique names: that of the tag, the number without a tag, or both if bodies share it."""
+        """Unique names: that of the tag; without it "body 2"; "body 2 (tag)" if bodies share it."""
         holders = Counter(self.tag_names)
         return tuple(
             name if name and holders[name] == 1 else f"body {k}" + (f" ({name})" if name else "")
@@ -146,8 +146,8 @@ class Bodies:
     def rigid_modes(self, dim: int) -> csr_array:
         """Return rigid body modes (owned degrees of freedom, 3 or 6 for each body), sparse.
 
-        Each body has first its translations by 1 along the axes, then its rotations about the
-        centre of its box, by the angle 1 / (diagonal of the box) about the axes, in 2D about z.
+        Each body has translations by 1 along the axes, and then rotations about the centre of its
+        box by the small angle 1 / (diagonal of the box), about the axes, in 2D about z.
         """
         translations = np.broadcast_to(np.eye(dim)[:, None], (dim, len(self.arm), dim))
         rotations = np.cross(np.eye(3)[2 * (3 - dim) :, None], self.arm)[:, :, :dim]
@@ -165,7 +165,7 @@ class Bodies:
         text = f"body {index + 1} of {self.count}{tags[index]}, between "
         text += f"{_point(box[:3], diagonal)} and {_point(box[3:], diagonal)}"
         if companions:
-            named = companions[:6]  # of walls of bricks there are many
+            named = companions[:6]  # a wall of bricks has many
             names = ", ".join(f"{k + 1}{tags[k]}" for k in named)
             text += f", together with {'bodies' if len(companions) > 1 else 'body'} {names}"
             text += f" and {len(companions) - 6} more" * (len(companions) > 6)

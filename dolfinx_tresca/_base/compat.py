@@ -50,7 +50,7 @@ except TypeError:
 def create_mesh(comm: MPI.Comm, cells: Any, x: Any, domain: Any, ghosts: bool) -> Any:
     """Distribute cells over the ranks, with or without ghosts, and return the mesh. Collective.
 
-    This rank contributes the cells (n, k) and coordinates; the domain is the coordinate element.
+    This rank contributes cells (n, k) and coordinates x; `domain` has the element of coordinates.
     """
     mode = dolfinx.mesh.GhostMode.shared_facet if ghosts else dolfinx.mesh.GhostMode.none
     partitioner = dolfinx.mesh.create_cell_partitioner(mode, *_CELLS_AT_FACET)
@@ -64,7 +64,7 @@ EntityMaps: TypeAlias = "dict[Any, LocalNumbers] | list[Any]"
 def create_submesh(
     mesh: Any, dim: int, entities: LocalNumbers
 ) -> tuple[Any, LocalNumbers, EntityMaps]:
-    """Return a submesh, its geometry nodes' numbers in the mesh, and entity maps for forms."""
+    """Return a submesh, the mesh's number of each of its geometry nodes, and maps for forms."""
     submesh, cells, _, nodes = dolfinx.mesh.create_submesh(mesh, dim, entities)
     if not isinstance(cells, np.ndarray):  # an EntityMap, since DOLFINx 0.10
         return submesh, nodes, [cells]
@@ -77,21 +77,21 @@ def create_submesh(
 def owned_dofs(bc: Any, owned: int) -> Any:
     """Return the degrees of freedom (n,) of this rank that a condition prescribes. Not collective.
 
-    The rank owns the first `owned` ones. DOLFINx 0.9 counts ghosts of blocked spaces among them.
+    The rank owns the first `owned` ones; its ghosts are left out, which DOLFINx 0.9 may count too.
     """
     dofs = bc.dof_indices()[0]
     return dofs[dofs < owned]
 
 
 def same_topology(given: Any, mesh: Any) -> bool:
-    """Return whether tags, or a mesh in another wrapper, belong to a mesh."""
+    """Return whether tags, or a mesh in another Python wrapper, have the topology of a mesh."""
     # since DOLFINx 0.10 some topologies have a wrapper
     left, right = (getattr(t, "_cpp_object", t) for t in (given.topology, mesh.topology))
     return left is right
 
 
 def with_values(tags: Any, values: LocalNumbers) -> Any:
-    """Return tags of the same entities with other values (n,)."""
+    """Return MeshTags of the same entities with the given values (n,)."""
     topology = getattr(tags.topology, "_cpp_object", tags.topology)
     return dolfinx.mesh.MeshTags(type(tags._cpp_object)(topology, tags.dim, tags.indices, values))
 
@@ -107,7 +107,7 @@ _HAS_DOFMAPS = isinstance(getattr(dolfinx.mesh.Geometry, "dofmaps", None), prope
 
 
 def geometry_dofmap(mesh: Any) -> LocalNumbers:
-    """Return the geometry nodes (cells, k) of each cell on this rank."""
+    """Return the geometry nodes (cells, k) of each cell on this rank, ghosts included."""
     return np.asarray(mesh.geometry.dofmaps[0] if _HAS_DOFMAPS else mesh.geometry.dofmap)
 
 

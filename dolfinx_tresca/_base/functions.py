@@ -18,7 +18,7 @@ from dolfinx_tresca._base.compat import EntityMaps, geometry_dofmap
 def zero_like(
     function: fem.Function, name: str, kind: type[fem.Function] = fem.Function
 ) -> fem.Function:
-    """Return a Function of zeros on the space of another one. Not collective.
+    """Return a Function of zeros, of type `kind`, on the space of a function. Not collective.
 
     On several ranks a new Function takes two of MPICH's 2,048 communicators; a copy shares them.
     """
@@ -28,13 +28,13 @@ def zero_like(
 
 
 def owned_values(u: fem.Function) -> Array:
-    """Return a view of a Function's values (n, d) at this rank's own nodes. Not collective."""
+    """Return a view of the values (n, d) of u at the nodes that this rank owns. Not collective."""
     dofmap = u.function_space.dofmap
     return np.asarray(u.x.array.reshape(-1, dofmap.index_map_bs)[: dofmap.index_map.size_local])
 
 
 def owned_size(function: fem.Function) -> int:
-    """Return the number of values of a Function that this rank owns. Not collective."""
+    """Return the number of values, nodes times components, that this rank owns. Not collective."""
     return int(function.x.index_map.size_local * function.x.block_size)
 
 
@@ -69,7 +69,7 @@ def nodes_of_vertices(V: Any) -> LocalNumbers:
 
 
 def numbers_in_file(V: Any) -> GlobalNumbers:
-    """Return for each node of V the number of its vertex in the mesh file, 0 between vertices.
+    """Return for each node of V the number of its vertex in the mesh file, 0 at other nodes.
 
     If the mesh was not refined, the numbers depend neither on the degree of V nor on the partition.
     """

@@ -1,4 +1,4 @@
-"""Collective helpers: errors on all ranks, logging, sums, exchange of rows, observers, times."""
+"""Helpers for MPI: errors on all ranks, logging, sums, exchange of rows, observers, times."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from dolfinx import common
 from dolfinx_tresca._base.arrays import Array, Indices, LocalNumbers
 from dolfinx_tresca.errors import InputError, shown
 
-#: A space at which lines are not broken, such as a space between the components of a vector.
+#: A space at which `fill` breaks no line, as between the components of a vector.
 UNBROKEN = "\N{NO-BREAK SPACE}"
 
 
 def fill(text: str, start: str = "", further: str = "  ") -> str:
-    """Break a text into lines; `start` precedes the first line, and `further` each further line."""
+    """Break a text into lines of 100 characters, that begin with `start`, and then `further`."""
     lines = textwrap.fill(
         text,
         100,
@@ -44,7 +44,7 @@ def fill(text: str, start: str = "", further: str = "  ") -> str:
 
 _logger = logging.getLogger("dolfinx_tresca")
 
-#: The last warnings of this process, for reports; more of them would hide the result.
+#: The last warnings of this process, for `ContactSolution.report`; more would hide the result.
 RECENT_WARNINGS: deque[str] = deque(maxlen=20)
 
 #: Warnings (message, subject) logged so far in each of the nested blocks of `each_warning_once`.
@@ -66,7 +66,7 @@ def log(
 ) -> None:
     """Log a message with % placeholders on the first rank. Not collective.
 
-    `each_warning_once` logs a warning once for each subject that it is `about`, such as a pair.
+    In `each_warning_once`, a warning is logged once for each value of `about`, such as a pair.
     """
     if comm.rank > 0:
         return
@@ -115,7 +115,7 @@ def mark_raised_on_all_ranks(error: BaseException) -> BaseException:
 
 
 def picklable(error: BaseException | None) -> BaseException | None:
-    """Return an exception, or a RuntimeError with its message if it cannot be pickled."""
+    """Return an exception; if it cannot be pickled, a RuntimeError with its type and message."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
@@ -153,7 +153,7 @@ class RankReductions:
     comm: MPI.Comm
 
     def total(self, x: Array) -> Array:
-        """Return the sum over all ranks of x, entry by entry; shapes are equal. Collective."""
+        """Return the sum of x over all ranks, of equal shape on all, entry by entry. Collective."""
         return reduce_array(self.comm, x)
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
@@ -171,7 +171,7 @@ class RankReductions:
         return sum(further_products, start=product)
 
     def stacked(self, rows: csr_array) -> csr_array:
-        """Return the rows of all ranks, sparse (size, k), in the order of ranks. Collective."""
+        """Return the sparse rows (size, k) of all ranks, stacked in their order. Collective."""
         if self.comm.size == 1:
             return rows
         return csr_array(vstack(self.comm.allgather(rows)))
@@ -189,8 +189,8 @@ def exchange(
 ) -> tuple[npt.NDArray[Any], Indices]:
     """Send each row to a rank; return the rows received, and the rank of each. Collective.
 
-    The received rows (m, ...) have the order of the sending ranks and of each sender's rows (n,
-    ...). Each rank logs, at level DEBUG, how many bytes it sends to how many ranks.
+    This rank sends rows (n, ...) to `ranks` (n,). The received rows (m, ...) are sorted by sender,
+    and then as they were there. The number of bytes sent is logged at level DEBUG.
     """
     if comm.size == 1:
         return rows, np.asarray(ranks, dtype=np.intp)
@@ -202,9 +202,9 @@ def exchange(
 
 
 def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array) -> Array:
-    """Return for each node, ghosts included, the sum (nodes, k) of its values on all ranks.
+    """Return the sum (nodes, k) of all ranks' values at each node of this rank, with ghosts.
 
-    The rank contributes values (..., k) at local nodes (...), which may repeat. Collective.
+    This rank contributes values (..., k) at local nodes (...), which may repeat. Collective.
     """
     vector = dolfinx.la.vector(index_map, values.shape[-1])
     rows = values.reshape(-1, values.shape[-1])
@@ -218,7 +218,7 @@ def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
-    """Return the row with the least key of all ranks; None if no rank has rows. Collective."""
+    """Return the row (...) whose key is least on all ranks; None without rows. Collective."""
     mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
     candidates = [candidate for candidate in comm.allgather(mine) if candidate is not None]
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
@@ -230,10 +230,10 @@ _T = TypeVar("_T")
 def agreed_observer(
     comm: MPI.Comm, observer: Callable[[_T], bool | None] | None, argument: str
 ) -> Callable[[_T], bool]:
-    """Return an observer whose answer, or exception, is the same on all ranks. Collective.
+    """Return a function that calls the user's observer on each rank. Collective.
 
-    Its calls are collective, and return True if the observer of any rank returns True. Error
-    messages name the type of the observer's argument.
+    Its calls are collective, and return True on all ranks if any observer does; exceptions reach
+    all ranks. The `argument` of the observer is named in the error for an observer of wrong type.
     """
     with errors_on_all_ranks(comm):
         if observer is not None and not callable(observer):

@@ -43,18 +43,18 @@ class PetscOwner(ABC):
 def free_unused(comm: MPI.Comm) -> None:
     """Free those PETSc objects on a communicator that no rank uses any more. Collective.
 
-    On several ranks petsc4py keeps objects that Python has dropped until this call, and
-    `keep_inner_communicator` its references. For objects on a mesh the communicator is `mesh.comm`.
+    On several ranks petsc4py keeps objects that Python has dropped until this call, which also drops
+    `_unused_references`. For objects on a mesh the communicator is `mesh.comm`.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
         _unused_references.clear()
 
 
-#: References to PETSc's communicators, of communicators that were freed since.
+#: References to PETSc's duplicates of communicators that were freed since the last `free_unused`.
 _unused_references: list[Any] = []
 
-#: Attribute of a communicator: a reference to the communicator that PETSc has made for it.
+#: Attribute of a communicator: a reference to PETSc's duplicate of it, kept while it exists.
 _REFERENCE = MPI.Comm.Create_keyval(
     delete_fn=lambda comm, key, reference: _unused_references.append(reference)
 )
@@ -63,8 +63,8 @@ _REFERENCE = MPI.Comm.Create_keyval(
 def keep_inner_communicator(comm: MPI.Comm) -> None:
     """Keep PETSc's duplicate of an index map's communicator as long as the latter. Collective.
 
-    PETSc frees a duplicate after its last object, and each rank frees vectors on its own: if an
-    exception keeps them on one rank, only other ranks would make a new duplicate, and wait forever.
+    PETSc frees the duplicate with its last object, and each rank frees vectors on its own: if an
+    exception keeps them on one rank, the others would make a new duplicate, and wait forever.
     """
     if comm.size > 1 and comm.Get_attr(_REFERENCE) is None:
         # a copy of the handle, since DOLFINx keeps the index map as long as its own object exists
@@ -73,7 +73,7 @@ def keep_inner_communicator(comm: MPI.Comm) -> None:
 
 @contextmanager
 def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
-    """Destroy an owner if the enclosed block raises one of the errors that `PetscOwner` names."""
+    """Destroy an owner if the enclosed block raises, in the cases in which `PetscOwner` does."""
     try:
         yield
     except BaseException as error:
@@ -84,7 +84,7 @@ def destroyed_on_error(owner: PetscOwner) -> Iterator[None]:
 def sparse_matrix(rows: csr_array, columns: tuple[int, int], comm: Any) -> PETSc.Mat:
     """Return the sparse PETSc matrix with given rows on this rank; the caller owns it. Collective.
 
-    The rows have global column numbers; `columns` are the numbers of this rank's and all columns.
+    The rows have global column numbers; `columns` counts this rank's columns, and all columns.
     """
     pattern = (array.astype(PETSc.IntType) for array in (rows.indptr, rows.indices))
     sizes = ((rows.shape[0], None), columns)
@@ -94,7 +94,7 @@ def sparse_matrix(rows: csr_array, columns: tuple[int, int], comm: Any) -> PETSc
 
 
 def as_petsc(index_map: Any, block_size: int, blocks: Sequence[Any], comm: Any) -> PETSc.Mat:
-    """Return the PETSc matrix whose rows on this rank are blocks, one below the other. Collective.
+    """Return the PETSc matrix with blocks, one below the other, as this rank's rows. Collective.
 
     The sparse blocks have global column numbers. The columns are distributed over the ranks like
     the index map, with `block_size` columns for each index.
@@ -115,7 +115,7 @@ def dense_matrix(rows: Array, comm: Any) -> PETSc.Mat:
 def product(matrix: PETSc.Mat, columns: csr_array) -> csr_array:
     """Return this rank's rows of a PETSc matrix (m, n) times sparse columns (n, k). Collective.
 
-    `columns` has as many rows of this rank as the matrix has columns there.
+    `columns` has a row for each of this rank's columns of the matrix; k is equal on all ranks.
     """
     comm, k = matrix.comm, columns.shape[1]
     result = matrix.matMult(sparse_matrix(columns, (k if comm.rank == 0 else 0, k), comm))

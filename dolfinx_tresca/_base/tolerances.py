@@ -6,9 +6,9 @@ their definition that says why they differ.
 
 from __future__ import annotations
 
-#: Largest accepted error of an inner problem, relative to the error or the change of the outer one:
-#: of a product to the step, of the last gradient to the requested error, and of a model's solution
-#: to the tolerance. With twice this value, the scenes of benchmarks/ablation.py take 1 % more
+#: Largest accepted error of an inner problem, relative to that of the outer one: of a product with
+#: A relative to the step, of the last gradient to the requested error, of a model's solution to the
+#: tolerance. With twice this value, the scenes of benchmarks/ablation.py take 1 % more
 #: products; with half of it, 10 % more Krylov iterations.
 FORCING = 0.1
 

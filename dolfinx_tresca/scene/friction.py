@@ -32,9 +32,9 @@ VectorField: TypeAlias = (
 
 
 def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: str) -> None:
-    """Check the type and shape, () or (3,), of a field; a function of points may return anything.
+    """Check the type and the shape, () or (3,), of a field that the user gave as `name`.
 
-    Rooms above check the values at nodes.
+    Values, and what functions of points return, are checked when rooms above evaluate the field.
     """
     field = expression_of(value)
     if isinstance(field, Expr):
@@ -51,12 +51,12 @@ def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: 
 
 
 def expression_of(field: ScalarField | VectorField) -> Any:
-    """Return the UFL expression in a `fem.Expression`, and other fields as they are."""
+    """Return the UFL expression in a `fem.Expression`, and fields of other types unchanged."""
     return field.ufl_expression if isinstance(field, fem.Expression) else field
 
 
 def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
-    """Check that a UFL expression has a shape, is real, and has a single value at each node."""
+    """Check that an expression has the given shape, is real, and is continuous at the nodes."""
     if expression.ufl_shape != shape or expression.ufl_free_indices:
         kind = "a vector of three components" if shape else "a scalar"
         free = " and free indices" * bool(expression.ufl_free_indices)
@@ -112,7 +112,7 @@ DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 
 @dataclass(frozen=True)
 class FrictionCurve:
-    """A coefficient of friction F(p, v), by the user's `function` of pressures and slips."""
+    """A coefficient of friction F(p, v): the user's `function` of pressures p and slips v."""
 
     function: Callable[[Any, Any], Any]
 
@@ -139,7 +139,7 @@ class FrictionCurve:
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
         """Return the difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
 
-        They are 0 where the pressure, or the slip, is 0.
+        dF/dp is 0 where the pressure is 0, and dF/dv where the slip is 0.
         """
         low, high = 1.0 - DIFFERENCE, 1.0 + DIFFERENCE
         dp, dv = high * pressure - low * pressure, high * slip - low * slip
@@ -152,9 +152,9 @@ class FrictionCurve:
 
 
 def curve_of(coefficient: object) -> FrictionCurve | None:
-    """Return a coefficient of friction as a curve if it is a function of two arguments, else None.
+    """Return a user's coefficient as a curve if it is a function F(p, v), and None otherwise.
 
-    Only arguments without default count; a function of one argument is a function of points.
+    F has two arguments without default; a function with one is a function of points x (3, n).
     """
     if isinstance(coefficient, type | fem.Expression | Expr) or not callable(coefficient):
         return None
@@ -174,7 +174,7 @@ def curve_of(coefficient: object) -> FrictionCurve | None:
 #: One scalar for all directions, or two semi-axes of an ellipse, along a direction and across it.
 Bound: TypeAlias = "ScalarField | tuple[ScalarField, ScalarField]"
 
-#: A coefficient of friction that is negative by less than this counts as zero.
+#: Negative coefficients above minus this, and bounds above minus this times the largest, are zero.
 COEFFICIENT_ROUNDING = 1e-12
 
 
@@ -183,8 +183,8 @@ class BoundTerms:
     """A slip bound c + min(F p, l), where p is the contact pressure.
 
     If there is a direction, the bound is an ellipse, and one of the three terms is a pair of
-    values, along the direction and across it. Their ratio is that of the semi-axes, and the longer
-    semi-axis is c + min(F p, l) with the larger value.
+    values, along the direction and across it. The ratio of the two is that of the semi-axes, and
+    the longer semi-axis is c + min(F p, l) with the larger of them.
 
     Attributes:
         constant: c >= 0 [stress].
@@ -192,7 +192,7 @@ class BoundTerms:
         limit: l >= 0 [stress].
         direction: direction of the first semi-axis, which is projected into the tangent plane;
             None: the bound is a circle.
-        curve: F as a function of pressure and slip; None: F is `coefficient`.
+        curve: F(p, v), of which `coefficient` is then an upper guess for the start; else None.
     """
 
     constant: Bound = 0.0
@@ -203,9 +203,9 @@ class BoundTerms:
 
 
 class Friction:
-    """Base class of all laws of a contact pair; messages call `terms.constant` `constant_name`."""
+    """Base class of all laws of a contact pair, with the slip bound zero."""
 
-    constant_name: ClassVar[str] = "the slip bound"
+    constant_name: ClassVar[str] = "the slip bound"  #: name of `terms.constant` in error messages
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self}>"
@@ -215,7 +215,7 @@ class Friction:
 
     @property
     def terms(self) -> BoundTerms:
-        """The slip bound as a function of the pressure: zero."""
+        """The slip bound as a function of the pressure: zero, unless a derived law defines it."""
         return BoundTerms()
 
 
@@ -266,7 +266,7 @@ class Tresca(DryFriction):
     direction: VectorField | None = None
 
     def __post_init__(self) -> None:
-        """Check the types of the arguments; an InputError is raised for other ones than above."""
+        """Check the types of the attributes; raise an InputError for types not listed above."""
         _check_bound(self.slip_bound, self.direction, self.constant_name)
 
     @property
@@ -338,7 +338,7 @@ class Coulomb(DryFriction):
     adhesion: ScalarField = 0.0
 
     def __post_init__(self) -> None:
-        """Check the types of the arguments; an InputError is raised for other ones than above."""
+        """Check the types of the attributes; raise an InputError for types not listed above."""
         if curve_of(self.coefficient) is None or self.direction is not None:
             _check_bound(self.coefficient, self.direction, "the coefficient of friction")
         if self.limit is not None:
@@ -364,7 +364,7 @@ class Coulomb(DryFriction):
 
 
 def two_bounds(bounds: Sequence[Any], name: str) -> list[tuple[Any, str]]:
-    """Return two bounds, along a direction and across it, with their names for messages."""
+    """Return the bounds along a direction and across it, each with its name for messages."""
     return [(bounds[0], f"{name} along the direction"), (bounds[1], f"{name} across the direction")]
 
 
@@ -416,7 +416,7 @@ class Bonded(Friction):
 
 @dataclass(frozen=True, repr=False)
 class Preload(Bonded):
-    """The two faces at which a bolt was cut, pulled together by the force in the bolt.
+    """Law of the two faces at which a bolt was cut: the force in the bolt pulls them together.
 
     In the first load step, the faces overlap so far that the force in the bolt is the given one.
     When this step is accepted, the overlap stays: the bolt is locked, and its force follows from

@@ -21,7 +21,7 @@ from dolfinx_tresca.errors import InputError, MeshError, shown, shown_place
 CAD_SUFFIXES = (".step", ".stp", ".brep", ".iges", ".igs", ".xao")
 SUFFIXES = (".geo", ".msh", *CAD_SUFFIXES)
 
-#: Units of length of coordinates from STEP and IGES files -> the kernel's name.
+#: Unit of length in which STEP and IGES files are read -> OpenCASCADE's name of this unit.
 UNITS = {"mm": "MM", "cm": "CM", "m": "M", "um": "UM", "km": "KM", "in": "INCH", "ft": "FT"}
 
 
@@ -54,7 +54,7 @@ def gmsh_session() -> Iterator[Any]:
 
 @contextmanager
 def options(gmsh: Any, values: Mapping[str, float]) -> Iterator[None]:
-    """Set options of Gmsh in a block, and restore them at its end."""
+    """Set options of Gmsh, name -> number, in a block, and restore them at its end."""
     before = {name: gmsh.option.getNumber(name) for name in values}
     try:
         for name, value in values.items():
@@ -117,22 +117,22 @@ def open_file(gmsh: Any, path: Path, parameters: Mapping[str, float], *, unit: s
 Projection: TypeAlias = Callable[[Array], Array]
 
 #: Distance of nodes from the surface from which the mesh was made, relative to the size of a facet,
-#: up to which they are on it. CAD files are accurate to about 1e-7 of their unit of length.
+#: up to which they count as on it. CAD files are accurate to about 1e-7 of their unit of length.
 ON_SURFACE = 1e-5
 
-#: Rounding of projections, relative to the size of the surface.
+#: Rounding error of projected points, relative to the size of the surface.
 PROJECTION_ROUNDING = 1e-8
 
-#: Gmsh's type of an entity that is a surface of its built-in kernel.
+#: Gmsh's type of a surface of its built-in kernel that was not made as a plane.
 BUILT_IN_SURFACE = "Surface"
 
 
 @dataclass(frozen=True)
 class GmshGeometry:
-    """A `.geo` or CAD file and the list of its groups of curved surfaces (in 2D curves).
+    """The model from which Gmsh made a mesh, and its groups of curved surfaces (in 2D curves).
 
     Attributes:
-        path: path of the file, or the name of the model.
+        path: path of the `.geo` or CAD file; `gmsh.model` for a model without file.
         parameters: values of the names that the file declares with `DefineConstant`.
         curved: tag of a physical group of facets that has a curved part -> Gmsh's numbers of all
             surfaces in the group.
@@ -155,12 +155,12 @@ class GmshGeometry:
             path = Path(folder) / "shapes.xao"  # it keeps groups, in contrast to .brep
             gmsh.write(str(path))
             shapes = cls(Path("gmsh.model"), {}, {}, content=path.read_bytes())
-        with shapes._model() as copied:  # which may number its surfaces in another way
+        with shapes._model() as copied:  # the copy may number its surfaces in another way
             return replace(shapes, curved=curved_groups(copied))
 
     @contextmanager
     def _model(self) -> Iterator[Any]:
-        """Open the file, or the shapes, in Gmsh and yield the model."""
+        """Open the file, or the `content`, in Gmsh and yield the model until the block ends."""
         with gmsh_session() as gmsh, tempfile.TemporaryDirectory() as folder:
             path = self.path
             if self.content is not None:
@@ -171,7 +171,7 @@ class GmshGeometry:
 
 
 def curved_groups(model: Any) -> dict[int, tuple[int, ...]]:
-    """Return tag -> numbers of all surfaces (in 2D curves) of each group that has a curved one."""
+    """Return `GmshGeometry.curved`: tag -> all surfaces of each group that has a curved one."""
     dim = model.getDimension() - 1
     groups = {}
     for _, tag in model.getPhysicalGroups(dim):
@@ -198,13 +198,13 @@ def check_geometry(geometry: Geometry | None) -> None:
 
 
 class ExactSurface(NamedTuple):
-    """The surface that the facets with a tag approximate.
+    """The surface that the facets with a tag approximate, by projections [length].
 
     Attributes:
-        projections: the projection onto each smooth piece of the surface.
-        project: projection of nodes onto the whole surface; nodes of an edge are projected onto the
-            edge, so that a flat surface on its other side stays flat. Raises InputError if too few
-            nodes are on the surface before they are moved.
+        projections: the projection onto each smooth piece of the surface, for gaps and normals.
+        project: projection of new nodes of a refined mesh onto the whole surface, and of nodes at
+            an edge onto the edge, so that a flat surface beyond it stays flat. With Gmsh's geometry
+            an InputError is raised if less than a tenth of the nodes are on the surface before.
     """
 
     projections: Sequence[Projection]
@@ -213,7 +213,7 @@ class ExactSurface(NamedTuple):
 
 @contextmanager
 def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
-    """Yield tag -> exact surface, for all curved surfaces; each rank opens Gmsh's file itself."""
+    """Yield tag -> exact surface, for tags of curved surfaces; each rank opens the model itself."""
     if not isinstance(geometry, GmshGeometry):
         yield {int(tag): ExactSurface([function], function) for tag, function in geometry.items()}
         return
@@ -229,9 +229,9 @@ def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
 
 
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
-    """Return points (n, 3) projected onto a surface [length]; the third coordinate of 2D stays.
+    """Return points (n, 3) moved by a user's or Gmsh's projection, whose result is checked.
 
-    `name` is that of the projection in error messages.
+    Error messages call it `name`. In 2D (`dim`), the third coordinate stays. All in [length].
     """
     if len(points) == 0:
         return points
@@ -250,7 +250,7 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
 
 
 def _is_flat(model: Any, dim: int, entity: int) -> bool:
-    """Return whether a surface is a plane, or a curve is a straight line."""
+    """Return whether a surface (in 2D, with dim = 1, a curve) is plane (straight)."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
     points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
@@ -272,13 +272,13 @@ def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
 
 
 def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
-    """Project points (3, n) onto surfaces, those at an edge onto the edge; see `ExactSurface`."""
+    """Return points (3, n) projected onto surfaces; see `ExactSurface.project`."""
     surfaces = [(dim, entity) for entity in entities]
-    place, distance = _nearest_points(model, surfaces, points)
+    nearest, distance = _nearest_points(model, surfaces, points)
     if dim > 1:
         on_edge, away = _nearest_points(model, model.getBoundary(surfaces, oriented=False), points)
-        # other nodes are about a facet's size away from the edge, much more than from the surface
-        place = np.where(away <= 3.0 * distance, on_edge, place)
+        # other nodes are about a facet's size away from the edge, but hardly from the surfaces
+        nearest = np.where(away <= 3.0 * distance, on_edge, nearest)
     # nodes that are on the surface keep their coordinates to the last digit
     on_surface = distance <= PROJECTION_ROUNDING * np.ptp(points, axis=1).max()
     if on_surface.mean() < 0.1:  # after a refinement at least a fourth, the old nodes, are on it
@@ -286,40 +286,40 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
             "nodes are not on the surfaces from which Gmsh made the mesh: it was moved or scaled. "
             "Take dataclasses.replace(tagged_mesh, geometry=...) with {tag: function} or None."
         )
-    return np.where(on_surface, points, place)
+    return np.where(on_surface, points, nearest)
 
 
 def _nearest_points(
     model: Any, entities: Sequence[tuple[int, int]], points: Array
 ) -> tuple[Array, Array]:
-    """Return the points (3, n) of entities nearest to points (3, n), and their distances (n,)."""
-    place, distance = points.copy(), np.full(points.shape[1], np.inf)
+    """Return the points (3, n) of all entities nearest to points (3, n), and distances (n,)."""
+    nearest, distance = points.copy(), np.full(points.shape[1], np.inf)
     for entity in entities:
-        nearest = _nearest(model, entity, points)
-        away = np.linalg.norm(nearest - points, axis=0)
+        candidate = _nearest(model, entity, points)
+        away = np.linalg.norm(candidate - points, axis=0)
         nearer = away < distance
-        place[:, nearer], distance[nearer] = nearest[:, nearer], away[nearer]
-    return place, distance
+        nearest[:, nearer], distance[nearer] = candidate[:, nearer], away[nearer]
+    return nearest, distance
 
 
 def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
-    """Return the nearest points (3, n) of a surface or a curve to points (3, n)."""
+    """Return the points (3, n) of a surface or a curve (dim, number) nearest to points (3, n)."""
     if model.getType(*entity) == BUILT_IN_SURFACE and not _is_flat(model, *entity):
         return _nearest_by_gauss_newton(model, entity[1], points)
     nearest = np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
-    # of an arc that ends where its circle begins, OpenCASCADE's search misses this end
+    # OpenCASCADE's search misses the end of an arc that ends where its circle begins
     for end in np.ravel(model.getParametrizationBounds(*entity) if entity[0] == 1 else ()):
-        place = np.reshape(model.getValue(*entity, [end]), (3, 1))
-        nearer = np.linalg.norm(place - points, axis=0) < np.linalg.norm(nearest - points, axis=0)
-        nearest[:, nearer] = place
+        point = np.reshape(model.getValue(*entity, [end]), (3, 1))
+        nearer = np.linalg.norm(point - points, axis=0) < np.linalg.norm(nearest - points, axis=0)
+        nearest[:, nearer] = point
     return nearest
 
 
 def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     """Return the nearest points (3, n) of a curved surface of Gmsh's built-in kernel.
 
-    On the surfaces of `press_fit.geo` Gmsh's own search takes 4 to 35 times as long, and the points
-    that it finds are farther away than the nearest ones, by up to 1e-3 of the size of the surface.
+    Gmsh's own search, on the surfaces of `press_fit.geo`, takes 4 to 35 times as long, and finds
+    points that are farther away than the nearest ones, by up to 1e-3 of the size of the surface.
     """
     # start at the nearest of 32 x 32 points of the surface
     low, high = model.getParametrizationBounds(2, surface)
@@ -330,7 +330,7 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     parameters = grid[cKDTree(samples).query(points.T)[1]]
     for _ in range(20):  # on the surfaces of the package's meshes it takes three steps
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
-        # the step in the parameters that comes nearest to the point, by least squares
+        # Gauss-Newton: parameters' step with which the tangent plane comes nearest to the point
         step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - locate(parameters))[:, :, None]
         previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
         shifts = np.einsum("ni,nik->nk", parameters - previous, tangents)

@@ -36,10 +36,10 @@ from dolfinx_tresca.scene.geometry import (
 
 MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo` files
 
-#: Number of cells round a full turn of a curved surface.
+#: Least number of cells round a full turn of a curved surface of a CAD model.
 CELLS_PER_TURN = 24
 
-#: What the kernel of Gmsh writes into STEP files in place of names.
+#: Label that OpenCASCADE writes into STEP files for shapes without a name.
 NO_NAME = "Open CASCADE STEP translator"
 
 
@@ -65,7 +65,7 @@ class NamedTags(MeshTags):  # type: ignore[misc]
 
 
 def abridged_names(tags: Sequence[int], facet_tags: MeshTags) -> str:
-    """Return the names of tags as a text, with more than three the first three and a count."""
+    """Return the names of tags as a text: at most three names, then the number of the others."""
     names = facet_tags.names if isinstance(facet_tags, NamedTags) else {}
     words = [names.get(tag, f"tag {tag}") for tag in tags[:3]]
     if len(tags) > len(words):
@@ -74,7 +74,7 @@ def abridged_names(tags: Sequence[int], facet_tags: MeshTags) -> str:
 
 
 class MergedTags(NamedTags):
-    """The tags of facets, in which all tags of a list are replaced by the first one.
+    """Facet tags of a `ContactPair` with lists of tags: each list is replaced by its first tag.
 
     The user's tags stay in `given`; `merged` is the first tag of each list -> the tags in the list.
     """
@@ -98,8 +98,8 @@ class TaggedMesh:
         mesh: the distributed `dolfinx.mesh.Mesh`.
         cell_tags: `MeshTags` of the cells, with the names of the tags.
         facet_tags: `MeshTags` of the facets, with the names of the tags.
-        tags: name of each physical group in the file -> tag. The name of an unnamed group is its
-            number, as a string.
+        tags: name of each physical group of cells or facets -> tag. The name of an unnamed group
+            is its tag, as a string.
         geometry: the curved surfaces that facets approximate, on which `refine` puts new nodes: the
             geometry from which Gmsh made the mesh, or tag -> function, as in `ContactPair`; None if
             they are unknown, or there are none.
@@ -129,15 +129,15 @@ def read_gmsh(
     Args:
         path: a file `.step`, `.stp`, `.brep`, `.xao`, `.iges`, `.igs`, `.geo` or `.msh`; or
             `gmsh.model` of the first rank's session, whose curved surfaces are then known, as those
-            of `.geo` and CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. Of `.geo` and
-            `.msh` files all cells, and all facets with tags, are in physical groups. Of CAD
+            of `.geo` and CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. In `.geo` and
+            `.msh` files all cells, and all facets that need a tag, are in physical groups. Of CAD
             files, and of a `gmsh.model` without groups, each body and each face has a tag, and its
             label in the file as name; without label `body 1`, and `body 1/2` for its second face.
         comm: communicator of the mesh.
         size: size of cells [length] of CAD files, and of a `gmsh.model` without mesh, or name of a
             body -> size of its cells; None: a sixth of the edge of a cube as large as the body
-            (of a `gmsh.model`: its own sizes). At faces near another body cells are half as large,
-            and curved faces have at least 24 cells round a turn. A `.geo` file has it as parameter.
+            (of a `gmsh.model`: its own sizes). Near faces of other bodies cells are half as large,
+            and curved faces have at least 24 cells round a turn. For `.geo`: its parameter `size`.
         unit: unit of length of the mesh of a STEP or IGES file, which names its own unit: "mm",
             "m", "in" ...
         **parameters: values of names that a `.geo` file declares with `DefineConstant`.
@@ -146,11 +146,11 @@ def read_gmsh(
         The mesh, its cell and facet tags, and the table name -> tag.
 
     Raises:
-        InputError: the suffix or the unit is unknown; a parameter is unknown, is not a finite
-            number, or is overwritten by the file; a file that is not `.geo` has parameters; or an
-            argument has a wrong type.
+        InputError: the suffix, the unit or a body in `size` is unknown; a parameter is unknown, not
+            finite, or overwritten by the file; parameters are given for a file that is not `.geo`;
+            or an argument has a wrong type.
         MeshError: the file does not exist or has an error; it has no body, or faces of no body; two
-            bodies share a face; or a file with groups has none of cells or none of facets.
+            bodies share a face; groups of cells or of facets are missing; or a facet is in two.
 
     Example:
         >>> from mpi4py import MPI
@@ -261,7 +261,7 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
 
 
 def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Check that a file, which Gmsh has opened without parameters, declares all their names."""
+    """Check that a `.geo` file, which Gmsh has opened, declares the names of all parameters."""
     if path.suffix.lower() != ".geo":
         raise InputError(
             f"'{path}' takes no parameters, found {', '.join(parameters)}. Read the .geo file that "
@@ -326,7 +326,7 @@ def name_groups(model: Any, name: str) -> None:
 
 
 def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
-    """Give each body its size of cells [length], and half of it at faces near another body.
+    """Give each body its size of cells [length], and half of it near faces of other bodies.
 
     Bodies whose size is not given get a sixth of the root of their volume or area. The current
     model of Gmsh, with a name for error messages, has a group for each body.
@@ -379,7 +379,7 @@ def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
 
 
 def _box(model: Any, dim: int, entity: int) -> Array:
-    """Return the least and largest coordinates (2, 3) of an entity."""
+    """Return the least and the largest coordinates (2, 3) of an entity; -1, -1: of the model."""
     return np.reshape(model.getBoundingBox(dim, entity), (2, 3))
 
 
@@ -408,7 +408,7 @@ def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
 
 
 def _grouped_entities(model: Any, dim: int) -> list[tuple[int, int]]:
-    """Return the tag of a group and the number of an entity, for all entities in groups."""
+    """Return (tag of a group, number of an entity) for all entities in groups of dimension dim."""
     return [
         (tag, int(entity))
         for _, tag in model.getPhysicalGroups(dim)
@@ -426,15 +426,15 @@ def _check_facets(model: Any, path: Path) -> None:
     (cell,) = mesh.getElementTypes(dim)
     groups, bodies = (_grouped_entities(model, entity_dim) for entity_dim in (dim - 1, dim))
     for kind in mesh.getElementTypes(dim - 1):
-        # corner nodes (n, corners) and tags (n,) of facets
-        *_, width, _, corners = mesh.getElementProperties(kind)
+        # corner nodes (n, corners) and tags (n,) of facets, each with `count` nodes
+        *_, count, _, corners = mesh.getElementProperties(kind)
         elements = [mesh.getElementsByType(kind, entity)[1] for _, entity in groups]
-        tags = np.repeat([tag for tag, _ in groups], [len(nodes) // width for nodes in elements])
-        facets = np.concatenate(elements).reshape(-1, width)[:, :corners]
+        tags = np.repeat([tag for tag, _ in groups], [len(nodes) // count for nodes in elements])
+        facets = np.concatenate(elements).reshape(-1, count)[:, :corners]
         # corner nodes (m, corners) of those faces of cells that may be facets
         nodes_of_faces = partial(mesh.getElementFaceNodes, faceType=corners)
-        sides = mesh.getElementEdgeNodes if dim == 2 else nodes_of_faces
-        faces = np.concatenate([sides(cell, tag=body, primary=True) for _, body in bodies])
+        read = mesh.getElementEdgeNodes if dim == 2 else nodes_of_faces
+        faces = np.concatenate([read(cell, tag=body, primary=True) for _, body in bodies])
         faces = faces.reshape(-1, corners)
         faces = faces[np.isin(faces, facets).all(axis=1)]
         # faces (m,) and facets (n,) have the same number if they have the same nodes in any order

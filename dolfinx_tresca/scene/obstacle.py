@@ -28,7 +28,7 @@ SignedDistance: TypeAlias = Callable[[Array], tuple[Any, Any]]
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """The motion x -> R x + t, with an orthogonal matrix R (3, 3) and a vector t (3,) [length]."""
+    """The motion x -> R x + t, with a `rotation` R (3, 3) and a `translation` t (3,) [length]."""
 
     rotation: Array
     translation: Array
@@ -45,7 +45,7 @@ class RigidMotion:
         return RigidMotion(self.rotation @ earlier.rotation, translation)
 
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
-        """Return the motion at a fraction of the way from this one to an end.
+        """Return the motion at a fraction, from 0 to 1, of the way from this motion to an end.
 
         The rotation is about a fixed axis, and the centre (3,) moves along a straight line.
         """
@@ -59,7 +59,7 @@ class RigidMotion:
         return np.asarray(self.rotation @ points + self.translation[:, None])
 
     def reversed_from(self, positions: Array) -> Array:
-        """Return the points (3, n) that move to positions (3, n) [length]."""
+        """Return the points (3, n) that this motion moves to the positions (3, n) [length]."""
         return np.asarray(self.rotation.T @ (positions - self.translation[:, None]))
 
     def __eq__(self, other: object) -> bool:
@@ -131,7 +131,7 @@ class RigidObstacle:
     """
 
     # no other attributes can be set
-    __slots__ = "_name _turning centre constants given_forces motion signed_distance".split()
+    __slots__ = "_for_facets _name centre constants given_forces motion signed_distance".split()
 
     def __init__(
         self,
@@ -161,8 +161,8 @@ class RigidObstacle:
         self.signed_distance = signed_distance
         self.constants = tuple(constants)
         self._name = str(name)
-        # of a file: the signed distance whose normals turn within a length of edges
-        self._turning: Callable[[float], SignedDistance] | None = None
+        # of a file: size of a body's facets -> signed distance with normals for this size
+        self._for_facets: Callable[[float], SignedDistance] | None = None
         self.centre: Array = np.zeros(3)
         self.motion = RigidMotion(np.eye(3), np.zeros(3))
         self.given_forces: GivenForces | None = None
@@ -171,14 +171,14 @@ class RigidObstacle:
     def from_file(path: str | PathLike[str], *, smooth: float = 30.0) -> RigidObstacle:
         """Return the obstacle inside a closed surface of triangles. Not collective.
 
-        The gap is the distance from the triangles. Normals are interpolated between their corners,
-        since edges on a curved surface would show as ridges in the pressure; but on triangles that
-        are larger than a body's facets only within the size of a facet from such edges, and flat
-        faces stay flat. All ranks read the file, with pyvista.
+        The gap is the distance from the triangles. An edge between triangles of a curved surface
+        would show as a ridge in the pressure: within the size of a body's facets from such an edge,
+        normals are interpolated between the triangles' corners. Elsewhere they are those of the
+        triangles, so flat faces stay flat. All ranks read the file, with pyvista.
 
         Args:
             path: file of a closed surface that pyvista reads: `.stl`, `.ply`, `.obj`, `.vtp` ...
-            smooth: angle [degree] of two triangles' normals up to which the edge is an artefact.
+            smooth: angle [degree] of two triangles' normals up to which they are a curved surface.
 
         Raises:
             InputError: the file cannot be read, its surface is not closed, or there is no pyvista.
@@ -200,9 +200,9 @@ class RigidObstacle:
         smoothed = surface.compute_normals(split_vertices=True, feature_angle=smooth)
         flat, triangles = smoothed.cell_data["Normals"], smoothed.faces.reshape(-1, 4)[:, 1:]
         corners, normals = smoothed.points[triangles], smoothed.point_data["Normals"][triangles]
-        # (triangles, 2, 3): times a vector from the first corner, the weights of the other corners
+        # (triangles, 2, 3), which maps a vector from the first corner to the other corners' weights
         weights_of = np.linalg.pinv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
-        # edges that are taken for artefacts; sharp ones are boundaries of `smoothed`
+        # edges on curved surfaces; sharp edges are boundaries of `smoothed`
         bends = smoothed.extract_feature_edges(0.1, boundary_edges=False, non_manifold_edges=False)
 
         def distance(x: Array, facet_size: float = np.inf) -> tuple[Array, Array]:
@@ -212,14 +212,14 @@ class RigidObstacle:
             weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
-            if bends.n_cells and facet_size < np.inf:  # flat normals farther than it from edges
+            if bends.n_cells and facet_size < np.inf:  # beyond this size, flat normals
                 _, nearest = bends.find_closest_cell(places, return_closest_point=True)
                 away = np.linalg.norm(places - nearest, axis=1) / facet_size
                 normal += np.clip(2.0 * away - 1.0, 0.0, 1.0)[:, None] * (flat[cells] - normal)
             return signed, unit(normal).T
 
         obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
-        obstacle._turning = lambda size: partial(distance, facet_size=size)
+        obstacle._for_facets = lambda size: partial(distance, facet_size=size)
         obstacle.centre = np.array(surface.center)
         return obstacle
 
@@ -282,7 +282,7 @@ class RigidObstacle:
 
         Args:
             force: vector of 2 or 3 components [force]; in 2D per unit of thickness.
-            moment: about the z axis or a vector (3,) [force length], with respect to `about`.
+            moment: number, about the z axis, or vector (3,) [force length], at the point `about`.
             free: names of the free motions: "x", "y", "z" along axes, "rx", "ry", "rz" about them;
                 None: all ("x", "y", "rz" in 2D, "y" with axisymmetry); (): forces hold it no more.
             about: the point at which the force acts, and about which the obstacle turns, at the
@@ -305,7 +305,7 @@ class RigidObstacle:
     def distance(self, points: Array) -> Array:
         """Return signed distances (n,) of points (n, 3) [length], for pictures. Not collective.
 
-        Points may be outside the function's domain: the largest value replaces what is not finite.
+        Where the user's function is not defined, the largest distance replaces values not finite.
         """
         with np.errstate(all="ignore"):
             returned = self.signed_distance(self.motion.reversed_from(points.T))
@@ -318,7 +318,7 @@ class RigidObstacle:
 
         Raises:
             InputError: the shapes differ, values are not finite, or normals do not have length 1.
-            PairingError: points are not finite, as where cells at the surface turn inside out.
+            PairingError: points are not finite, since cells at the surface have turned inside out.
         """
         n = len(points)
         if n == 0:  # users' functions need not take empty arrays
@@ -348,11 +348,11 @@ class RigidObstacle:
 
 
 def resolved(obstacle: RigidObstacle, size: float) -> RigidObstacle:
-    """Return an obstacle as facets of some size see it; see `RigidObstacle.from_file`."""
-    if obstacle._turning is None:
+    """Return an obstacle for facets of a size [length]: normals of `from_file` depend on it."""
+    if obstacle._for_facets is None:
         return obstacle
     result = copy(obstacle)
-    result.signed_distance = obstacle._turning(size)
+    result.signed_distance = obstacle._for_facets(size)
     return result
 
 
@@ -460,9 +460,9 @@ class RigidCylinder(RigidObstacle):
 
 
 def _present(check: Callable[[str, Any], Any], name: str, value: Any) -> Callable[[], Any]:
-    """Return a function that returns the present value of a user's argument, as `check` returns it.
+    """Return a function that returns the present value of a user's argument, checked.
 
-    A Constant is checked at each call, others once. `check` takes a name, for errors, and a value.
+    `check` takes a name, for errors, and a value; a Constant is checked at each call, others once.
     """
     if isinstance(value, fem.Constant):
         check(name, value.value)
@@ -479,7 +479,7 @@ def _constants_of(*values: Any) -> list[fem.Constant]:
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
     """Return distances (n,) and normals (3, n) of a sphere or a cylinder.
 
-    The offsets (3, n) of points are from its centre or axis [length]; if `hollow`, it is outside.
+    Points have the offsets (3, n) from centre or axis [length]; a `hollow` obstacle is outside.
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0
@@ -489,20 +489,20 @@ def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Arr
 
 
 def _coordinates(name: str, value: npt.ArrayLike, *, nonzero: bool = False) -> Array:
-    """Return three coordinates from two or three; the third is 0 by default."""
+    """Return a vector (3,) from the user's 2 or 3 components; without a third, it is 0."""
     vector = checked_vector(name, value, 2, 3, nonzero=nonzero)
     return np.append(vector, np.zeros(3 - len(vector)))
 
 
 def _axial_vector(name: str, value: npt.ArrayLike) -> Array:
-    """Return a vector (3,) from its 3 components, or from the third one alone."""
+    """Return a rotation or moment (3,) from the user's 3 components, or a number about z."""
     if np.shape(value) == ():
         return np.array([0.0, 0.0, checked_number(name, value, "(-inf, inf)")])
     return checked_vector(name, value, 3)
 
 
 def _direction(name: str, value: npt.ArrayLike) -> Array:
-    """Return the unit vector (3,) along a vector."""
+    """Return the unit vector (3,) along a vector of 2 or 3 components."""
     vector = _coordinates(name, value, nonzero=True)
-    vector /= np.abs(vector).max()  # whose squares neither overflow nor vanish
+    vector /= np.abs(vector).max()  # squares then neither overflow nor vanish
     return np.asarray(vector / np.linalg.norm(vector))

@@ -73,9 +73,9 @@ class ContactPair:
             surface [length]; flat surfaces need no function. Gaps and normals are those of these
             surfaces, which corrects coarse facets of closely fitting bodies. `update_geometry`
             keeps the heights of the surfaces over the facets. None: the geometry that `facet_tags`
-            of `read_gmsh` know; a warning says if it cannot be used, because the file is gone or
-            nodes were moved. Tags without known surface have smooth surfaces through their nodes,
-            which follow from the nodal normals; with {} all tags have. Ignored for rigid obstacles.
+            of `read_gmsh` have; a warning says if it cannot be used, because the file is gone or
+            nodes were moved. For other tags, and with {} for all, gaps and normals are those of
+            smooth surfaces through the nodes, by the nodal normals. Ignored for rigid obstacles.
         sliding: "small" keeps the normal and the partner of each node; "finite" pairs the surfaces
             in the configuration of the solution, so that they may slide far, separate and touch
             again, with the accuracy `SolverOptions.geometry_accuracy`.
@@ -164,7 +164,7 @@ class ContactPair:
             object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
 
     def _checked_tags(self, which: SideName) -> tuple[int, ...]:
-        """Return the tags that the user gave for a side, each once; () for an obstacle."""
+        """Return the tags that the user gave for a side, checked, each once; () for an obstacle."""
         given = getattr(self, which)
         if which == "primary" and isinstance(given, RigidObstacle):
             return ()
@@ -180,7 +180,7 @@ class ContactPair:
 
     @property
     def cell_tags(self) -> NamedTags | None:
-        """The tags of the cells with the names of bodies, if `facet_tags` are from `read_gmsh`."""
+        """The tags of the cells, which name the bodies; None if `facet_tags` have no names."""
         return self.facet_tags.cell_tags if isinstance(self.facet_tags, NamedTags) else None
 
     @property
@@ -240,7 +240,7 @@ def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
     """Return the user's argument `pairs` as a list, if it is one of contact pairs.
 
-    An InputError is raised if there is none, or if two have a name or two surfaces in common.
+    An InputError is raised if there is none, or if two have the same given name or the same sides.
     """
     check_type("pairs", pairs, Iterable, "a sequence", " Write [pair] for a single one.")
     result = list(pairs)
@@ -253,7 +253,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
     for pair in result:
         sides = []
         for which in SIDES:
-            # another MeshTags may use the same numbers for other surfaces
+            # a tag with its MeshTags, since other MeshTags may have the same tag on other facets
             given, tags = pair.given_tags(which)
             owner = getattr(given, "_cpp_object", given)
             sides.append([(owner, tag) for tag in tags] or [pair.primary])
@@ -272,7 +272,7 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
 
 
 class _OnPair:
-    """Base class of goals; an attribute that is wrong raises an InputError."""
+    """Base class of goals of one pair: wrong attributes raise an InputError."""
 
     pair: int
 
@@ -373,7 +373,7 @@ Goal: TypeAlias = NormalForce | ContactForce | MeanPressure | MeanSlip | Pressur
 
 
 def checked_goal(goal: Goal, pairs: int, dim: int) -> Goal:
-    """Return the user's argument `goal`, if it suits a number of pairs and a dimension of space."""
+    """Return the user's argument `goal`, checked for the number of `pairs` and the dimension."""
     kinds = "a NormalForce, ContactForce, MeanPressure, MeanSlip or PressureNorm"
     check_type("goal", goal, Goal, kinds)
     if goal.pair >= pairs:
