@@ -116,7 +116,7 @@ class SolverOptions:
 
     @property
     def step_factor(self) -> float:
-        """rho times the largest eigenvalue of A: `rho_sigma`, or the method's default if None."""
+        """Product of rho and the largest eigenvalue of A: `rho_sigma`, or the method's default."""
         return _RHO_SIGMA.get(self.method, 1.0) if self.rho_sigma is None else self.rho_sigma
 
     @property

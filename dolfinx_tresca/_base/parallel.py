@@ -30,7 +30,7 @@ UNBROKEN = "\N{NO-BREAK SPACE}"
 
 
 def fill(text: str, start: str = "", further: str = "  ") -> str:
-    """Break a text into lines of 100 characters, that begin with `start`, and then `further`."""
+    """Break a text into lines of up to 100 characters; the first has `start` before it."""
     lines = textwrap.fill(
         text,
         100,
@@ -66,7 +66,7 @@ def log(
 ) -> None:
     """Log a message with % placeholders on the first rank. Not collective.
 
-    In `each_warning_once`, a warning is logged once for each value of `about`, such as a pair.
+    In a block of `each_warning_once`, a message is logged once for each `about`, such as a pair.
     """
     if comm.rank > 0:
         return
@@ -157,7 +157,7 @@ class RankReductions:
         return reduce_array(self.comm, x)
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
-        """Return x'y of dense or sparse x, y (size,) or (size, k), of all ranks. Collective."""
+        """Return x'y, summed over ranks, of dense or sparse (size,) or (size, k). Collective."""
         product: Any = x.T @ y
         return reduce_array(self.comm, product.toarray() if issparse(product) else product)
 

@@ -118,7 +118,7 @@ class FrictionCurve:
 
     @property
     def depends_on_slip(self) -> bool:
-        """Whether F changes with the slip, at 50 pressures and 50 slips from 0 to 1e12."""
+        """Whether F depends on the slip, as tested at 50 pressures and 50 slips from 0 to 1e12."""
         grid = np.append(0.0, np.logspace(-12.0, 12.0, 49))
         pressure, slip = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
         with np.errstate(all="ignore"):

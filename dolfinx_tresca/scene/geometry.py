@@ -231,7 +231,7 @@ def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
     """Return points (n, 3) moved by a user's or Gmsh's projection, whose result is checked.
 
-    Error messages call it `name`. In 2D (`dim`), the third coordinate stays. All in [length].
+    Error messages call the projection `name`. If `dim` is 2, the third coordinate stays.
     """
     if len(points) == 0:
         return points
@@ -250,7 +250,7 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
 
 
 def _is_flat(model: Any, dim: int, entity: int) -> bool:
-    """Return whether a surface (in 2D, with dim = 1, a curve) is plane (straight)."""
+    """Return whether a surface (dim = 2) is plane, or a curve (dim = 1) is straight."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
     points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
