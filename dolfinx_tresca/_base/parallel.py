@@ -148,7 +148,7 @@ def largest_abs(comm: MPI.Comm, *arrays: npt.ArrayLike) -> list[float]:
 
 @dataclass(frozen=True)
 class RankReductions:
-    """Collective reductions for distributed vectors, with `size` entries on this rank."""
+    """Sums and maxima over ranks, of vectors with `size` entries on this rank, for `solvers`."""
 
     comm: MPI.Comm
 
@@ -218,7 +218,7 @@ def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
-    """Return the row (...) whose key is least on all ranks; None without rows. Collective."""
+    """Return the row (...) with the least key (n,) of all ranks; None without rows. Collective."""
     mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
     candidates = [candidate for candidate in comm.allgather(mine) if candidate is not None]
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None

@@ -56,7 +56,7 @@ def expression_of(field: ScalarField | VectorField) -> Any:
 
 
 def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
-    """Check that an expression has the given shape, is real, and is continuous at the nodes."""
+    """Check that an expression has the given shape, is real, and has single values at nodes."""
     if expression.ufl_shape != shape or expression.ufl_free_indices:
         kind = "a vector of three components" if shape else "a scalar"
         free = " and free indices" * bool(expression.ufl_free_indices)

@@ -202,7 +202,7 @@ class ExactSurface(NamedTuple):
 
     Attributes:
         projections: the projection onto each smooth piece of the surface, for gaps and normals.
-        project: projection of new nodes of a refined mesh onto the whole surface, and of nodes at
+        project: projection of the nodes of a refined mesh onto the whole surface, and of those at
             an edge onto the edge, so that a flat surface beyond it stays flat. With Gmsh's geometry
             an InputError is raised if less than a tenth of the nodes are on the surface before.
     """

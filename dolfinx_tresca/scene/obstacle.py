@@ -70,7 +70,7 @@ class RigidMotion:
 
     @property
     def matrix(self) -> Array:
-        """(3, 4) array of R and t."""
+        """(3, 4) array of R and t, in which states of load steps keep motions."""
         return np.column_stack([self.rotation, self.translation])
 
     @classmethod
