@@ -30,7 +30,7 @@ UNBROKEN = "\N{NO-BREAK SPACE}"
 
 
 def fill(text: str, start: str = "", further: str = "  ") -> str:
-    """Break a text into lines of up to 100 characters; the first has `start` before it."""
+    """Wrap a text at 100 characters; `start` precedes the first line, `further` each other one."""
     lines = textwrap.fill(
         text,
         100,
@@ -53,7 +53,7 @@ _logged_warnings: list[set[tuple[str, str]]] = []
 
 @contextmanager
 def each_warning_once() -> Iterator[None]:
-    """Log each warning of the block only once, whatever numbers it contains. Not collective."""
+    """Log a warning of the block once, even if it recurs with other numbers. Not collective."""
     _logged_warnings.append(set())
     try:
         yield
@@ -64,7 +64,7 @@ def each_warning_once() -> Iterator[None]:
 def log(
     comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO, about: str = ""
 ) -> None:
-    """Log a message with % placeholders on the first rank. Not collective.
+    """Log a message, with `args` for its % placeholders, on the first rank. Not collective.
 
     In a block of `each_warning_once`, a message is logged once for each `about`, such as a pair.
     """

@@ -292,7 +292,7 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
 def _nearest_points(
     model: Any, entities: Sequence[tuple[int, int]], points: Array
 ) -> tuple[Array, Array]:
-    """Return the points (3, n) of all entities nearest to points (3, n), and distances (n,)."""
+    """Return, for points (3, n), the nearest (3, n) on any entity, and the distances (n,)."""
     nearest, distance = points.copy(), np.full(points.shape[1], np.inf)
     for entity in entities:
         candidate = _nearest(model, entity, points)

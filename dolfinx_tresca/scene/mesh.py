@@ -386,7 +386,7 @@ def _box(model: Any, dim: int, entity: int) -> Array:
 def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
     """Return dimension, tag and name, "" if it has none, of each group of facets or cells.
 
-    A MeshError is raised if there are no groups of facets or none of cells, or two have one name.
+    A MeshError is raised without groups of facets or of cells, or if a name has two tags.
     """
     dim = model.getDimension()
     for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):

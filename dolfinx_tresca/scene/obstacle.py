@@ -47,7 +47,7 @@ class RigidMotion:
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction, from 0 to 1, of the way from this motion to an end.
 
-        It turns about a fixed axis, by at most 180 degrees, and moves its centre (3,) straight.
+        The rotation is by at most 180 degrees; the centre (3,) moves along a straight line.
         """
         turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
         R = turn.as_matrix() @ self.rotation
@@ -479,7 +479,7 @@ def _constants_of(*values: Any) -> list[fem.Constant]:
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
     """Return distances (n,) and normals (3, n) of a sphere or a cylinder.
 
-    Points have the offsets (3, n) from centre or axis [length]; a `hollow` obstacle is outside.
+    The offsets (3, n) of points are from its centre or axis [length]. If `hollow`, it is a hole.
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0

@@ -238,7 +238,7 @@ def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
-    """Return the user's argument `pairs` as a list, if it is one of contact pairs.
+    """Return the user's argument `pairs` as a list whose entries are checked.
 
     An InputError is raised if there is none, or if two share a given name or the same two surfaces.
     """
