@@ -47,7 +47,7 @@ class RigidMotion:
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction, from 0 to 1, of the way from this motion to an end.
 
-        The rotation is by at most 180 degrees; the centre (3,) moves along a straight line.
+        The rotation, at most 180 degrees, has a fixed axis; the centre (3,) moves straight ahead.
         """
         turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
         R = turn.as_matrix() @ self.rotation
