@@ -29,7 +29,7 @@ class MechanismError(_WithMotion, InputError):
 
     Attributes:
         motion: the motion of the bodies, a Function of the displacement's space named "motion"
-            with the greatest nodal length 1, zero if only tools move; any of several free motions.
+            with the greatest nodal length 1, or zero if only tools move; one of several free ones.
     """
 
 

@@ -108,7 +108,7 @@ class SolverOptions:
         return replace(self, **given)
 
     def at_least(self, accuracy: float) -> SolverOptions:
-        """Return options whose `rtol`, or else a number as `accuracy`, is at most the argument."""
+        """Return options for a Newton step: `rtol`, or else a number as `accuracy`, is reduced."""
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
         is_number = self.accuracy != "balanced"
@@ -116,7 +116,7 @@ class SolverOptions:
 
     @property
     def step_factor(self) -> float:
-        """rho times the largest eigenvalue of A: `rho_sigma`, or the method's default if None."""
+        """Product of rho and the largest eigenvalue of A: `rho_sigma`, or the method's default."""
         return _RHO_SIGMA.get(self.method, 1.0) if self.rho_sigma is None else self.rho_sigma
 
     @property

@@ -258,7 +258,7 @@ class ContactSolution(Evaluation, Tabulated):
         return index
 
     def raise_if_failed(self) -> None:
-        """Check that the iteration reached the requested accuracy. Not collective.
+        """Raise an error unless the iteration reached the requested accuracy. Not collective.
 
         Raises:
             ConvergenceError: the status is not CONVERGED.

@@ -29,7 +29,7 @@ class Units:
         length: unit of coordinates, displacements, slips and gaps.
         stress: unit of moduli, pressures, tractions and slip bounds.
         force: unit of resultant forces in 3D and of axisymmetric bodies; in plane strain, forces
-            and energies are per unit of thickness. By default made of both: "MPa mm²".
+            and energies are per unit of thickness. By default stress times area, "MPa mm²".
 
     Example:
         >>> from dolfinx_tresca import Units

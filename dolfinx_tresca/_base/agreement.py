@@ -36,7 +36,7 @@ def collective(
 ) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Decorate a collective function so that the ranks compare its arguments before its body runs.
 
-    If they differ, all ranks raise the same InputError, where they would wait for each other. Data
+    If they differ, all ranks raise the same InputError instead of waiting for each other. Data
     that differ by design, such as the values of a Function, are not compared. Each rank sends a
     digest of 16 bytes. If the arguments of a rank are wrong and have no communicator, the rank
     compares them with the processes of its last collective call.
@@ -143,7 +143,7 @@ def check_agreement(comm: MPI.Comm, where: str, values: Callable[[], Mapping[str
 
 
 def _difference(rank_texts: Sequence[tuple[str, Mapping[str, str]]]) -> InputError:
-    """Return an error that says in what the first rank that differs from rank 0 does so.
+    """Return the error for the first rank that differs from rank 0, with the difference in words.
 
     `rank_texts` has for each rank the name of its call, and name -> text of the values.
     """

@@ -87,7 +87,7 @@ def integer(value: Any) -> int | None:
 
 
 def splitmix64(x: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Return random integers (n,) by numbers (n,), one to one: SplitMix64 (Steele et al. 2014)."""
+    """Return random integers (n,) for numbers (n,), by SplitMix64 (Steele, Lea and Flood 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return np.asarray(x ^ (x >> np.uint64(31)))

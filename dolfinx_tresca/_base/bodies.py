@@ -109,7 +109,7 @@ class Bodies:
         bounds: (count, 6) bounding box of each body: least x, y, z, then largest [length].
         node_counts: (count,) number of nodes of V in each body.
         arm: (owned nodes of V, 3) coordinates from the centre of the bounding box of the node's
-            body, divided by the length of the box's diagonal.
+            body, divided by the length of the box's diagonal [1], as arms of rotations.
     """
 
     count: int

@@ -30,7 +30,7 @@ UNBROKEN = "\N{NO-BREAK SPACE}"
 
 
 def fill(text: str, start: str = "", further: str = "  ") -> str:
-    """Break a text into lines of 100 characters, that begin with `start`, and then `further`."""
+    """Wrap a text at 100 characters; `start` precedes the first line, `further` each other one."""
     lines = textwrap.fill(
         text,
         100,
@@ -53,7 +53,7 @@ _logged_warnings: list[set[tuple[str, str]]] = []
 
 @contextmanager
 def each_warning_once() -> Iterator[None]:
-    """Log each warning of the block only once, whatever numbers it contains. Not collective."""
+    """Log a warning of the block once, even if it recurs with other numbers. Not collective."""
     _logged_warnings.append(set())
     try:
         yield
@@ -64,9 +64,9 @@ def each_warning_once() -> Iterator[None]:
 def log(
     comm: MPI.Comm, message: str, *args: object, level: int = logging.INFO, about: str = ""
 ) -> None:
-    """Log a message with % placeholders on the first rank. Not collective.
+    """Log a message, with `args` for its % placeholders, on the first rank. Not collective.
 
-    In `each_warning_once`, a warning is logged once for each value of `about`, such as a pair.
+    In a block of `each_warning_once`, a message is logged once for each `about`, such as a pair.
     """
     if comm.rank > 0:
         return
@@ -148,7 +148,7 @@ def largest_abs(comm: MPI.Comm, *arrays: npt.ArrayLike) -> list[float]:
 
 @dataclass(frozen=True)
 class RankReductions:
-    """Collective reductions for distributed vectors, with `size` entries on this rank."""
+    """Sums and maxima over ranks, of vectors with `size` entries on this rank, for `solvers`."""
 
     comm: MPI.Comm
 
@@ -157,7 +157,7 @@ class RankReductions:
         return reduce_array(self.comm, x)
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
-        """Return x'y of dense or sparse x, y (size,) or (size, k), of all ranks. Collective."""
+        """Return x'y, summed over ranks, of dense or sparse (size,) or (size, k). Collective."""
         product: Any = x.T @ y
         return reduce_array(self.comm, product.toarray() if issparse(product) else product)
 
@@ -218,7 +218,7 @@ def summed_at_nodes(index_map: Any, nodes: Indices | LocalNumbers, values: Array
 
 
 def row_of_least(comm: MPI.Comm, keys: npt.NDArray[Any], rows: npt.NDArray[Any]) -> Any:
-    """Return the row (...) whose key is least on all ranks; None without rows. Collective."""
+    """Return the row (...) with the least key (n,) of all ranks; None without rows. Collective."""
     mine = (keys.min(), rows[keys.argmin()]) if len(keys) else None
     candidates = [candidate for candidate in comm.allgather(mine) if candidate is not None]
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None

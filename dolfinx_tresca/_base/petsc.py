@@ -43,8 +43,8 @@ class PetscOwner(ABC):
 def free_unused(comm: MPI.Comm) -> None:
     """Free those PETSc objects on a communicator that no rank uses any more. Collective.
 
-    On several ranks petsc4py keeps objects that Python has dropped until this call, which also drops
-    `_unused_references`. For objects on a mesh the communicator is `mesh.comm`.
+    On several ranks petsc4py keeps objects that Python has dropped until this call, which drops
+    `_unused_references` as well. For objects on a mesh the communicator is `mesh.comm`.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)

@@ -56,7 +56,7 @@ def expression_of(field: ScalarField | VectorField) -> Any:
 
 
 def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
-    """Check that an expression has the given shape, is real, and is continuous at the nodes."""
+    """Check that an expression has the given shape, is real, and has single values at nodes."""
     if expression.ufl_shape != shape or expression.ufl_free_indices:
         kind = "a vector of three components" if shape else "a scalar"
         free = " and free indices" * bool(expression.ufl_free_indices)
@@ -118,7 +118,7 @@ class FrictionCurve:
 
     @property
     def depends_on_slip(self) -> bool:
-        """Whether F changes with the slip, at 50 pressures and 50 slips from 0 to 1e12."""
+        """Whether F depends on the slip, as tested at 50 pressures and 50 slips from 0 to 1e12."""
         grid = np.append(0.0, np.logspace(-12.0, 12.0, 49))
         pressure, slip = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
         with np.errstate(all="ignore"):

@@ -202,7 +202,7 @@ class ExactSurface(NamedTuple):
 
     Attributes:
         projections: the projection onto each smooth piece of the surface, for gaps and normals.
-        project: projection of new nodes of a refined mesh onto the whole surface, and of nodes at
+        project: projection of the nodes of a refined mesh onto the whole surface, and of those at
             an edge onto the edge, so that a flat surface beyond it stays flat. With Gmsh's geometry
             an InputError is raised if less than a tenth of the nodes are on the surface before.
     """
@@ -231,7 +231,7 @@ def open_geometry(geometry: Geometry) -> Iterator[Mapping[int, ExactSurface]]:
 def project_points(points: Array, name: str, projection: Projection, dim: int) -> Array:
     """Return points (n, 3) moved by a user's or Gmsh's projection, whose result is checked.
 
-    Error messages call it `name`. In 2D (`dim`), the third coordinate stays. All in [length].
+    Error messages call the projection `name`. If `dim` is 2, the third coordinate stays.
     """
     if len(points) == 0:
         return points
@@ -250,7 +250,7 @@ def project_points(points: Array, name: str, projection: Projection, dim: int) -
 
 
 def _is_flat(model: Any, dim: int, entity: int) -> bool:
-    """Return whether a surface (in 2D, with dim = 1, a curve) is plane (straight)."""
+    """Return whether a surface (dim = 2) is plane, or a curve (dim = 1) is straight."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
     points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
@@ -292,7 +292,7 @@ def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: 
 def _nearest_points(
     model: Any, entities: Sequence[tuple[int, int]], points: Array
 ) -> tuple[Array, Array]:
-    """Return the points (3, n) of all entities nearest to points (3, n), and distances (n,)."""
+    """Return, for points (3, n), the nearest (3, n) on any entity, and the distances (n,)."""
     nearest, distance = points.copy(), np.full(points.shape[1], np.inf)
     for entity in entities:
         candidate = _nearest(model, entity, points)

@@ -127,19 +127,19 @@ def read_gmsh(
     Collective. The first rank runs Gmsh, then the mesh is distributed.
 
     Args:
-        path: a file `.step`, `.stp`, `.brep`, `.xao`, `.iges`, `.igs`, `.geo` or `.msh`; or
-            `gmsh.model` of the first rank's session, whose curved surfaces are then known, as those
-            of `.geo` and CAD files; or the result of `dolfinx.io.gmsh.model_to_mesh`. In `.geo` and
-            `.msh` files all cells, and all facets that need a tag, are in physical groups. Of CAD
-            files, and of a `gmsh.model` without groups, each body and each face has a tag, and its
-            label in the file as name; without label `body 1`, and `body 1/2` for its second face.
+        path: file `.step`, `.stp`, `.brep`, `.xao`, `.iges`, `.igs`, `.geo` or `.msh`; `gmsh.model`
+            of the first rank's session, which gets groups and a mesh if it has none; or the result
+            of `dolfinx.io.gmsh.model_to_mesh`. Curved surfaces of `.geo` and CAD files, and of a
+            `gmsh.model` made by OpenCASCADE, are known. In `.geo` and `.msh` files all cells, and
+            all facets that need a tag, are in physical groups. In CAD files, and in a `gmsh.model`
+            without groups, each body and each face has a tag, and its label in the file as name;
+            without label `body 1`, and `body 1/2` for its second face.
         comm: communicator of the mesh.
         size: size of cells [length] of CAD files, and of a `gmsh.model` without mesh, or name of a
             body -> size of its cells; None: a sixth of the edge of a cube as large as the body
             (of a `gmsh.model`: its own sizes). Near faces of other bodies cells are half as large,
             and curved faces have at least 24 cells round a turn. For `.geo`: its parameter `size`.
-        unit: unit of length of the mesh of a STEP or IGES file, which names its own unit: "mm",
-            "m", "in" ...
+        unit: unit of the mesh of a STEP or IGES file: "mm", "cm", "m", "um", "km", "in" or "ft".
         **parameters: values of names that a `.geo` file declares with `DefineConstant`.
 
     Returns:
@@ -353,7 +353,7 @@ def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
             (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
         return tag
 
-    listed, listed_faces = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
+    bodies_option, faces_option = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
     # number, body and box of each face
     faces = [
         (abs(face), entity, *_box(model, dim - 1, abs(face)))
@@ -362,7 +362,7 @@ def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
     ]
     for entity, body in bodies.items():
         h = float(given.get(body, model.occ.getMass(dim, entity) ** (1.0 / dim) / 6.0))
-        fields.append(field("Constant", VIn=h, **{listed: [entity]}))
+        fields.append(field("Constant", VIn=h, **{bodies_option: [entity]}))
         # faces of other bodies whose boxes are less than h away from the box of this body
         low, high = _box(model, dim, entity)
         near = [
@@ -371,10 +371,10 @@ def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
             if owner != entity and (least <= high + h).all() and (largest >= low - h).all()
         ]
         if near:
-            distance = field("Distance", Sampling=20, **{listed_faces: sorted(near)})
+            distance = field("Distance", Sampling=20, **{faces_option: sorted(near)})
             limits = {"SizeMin": 0.5 * h, "SizeMax": h, "DistMin": 0.5 * h, "DistMax": 3.0 * h}
             growing = field("Threshold", InField=distance, **limits)
-            fields.append(field("Restrict", InField=growing, **{listed: [entity]}))
+            fields.append(field("Restrict", InField=growing, **{bodies_option: [entity]}))
     model.mesh.field.setAsBackgroundMesh(field("Min", FieldsList=fields))
 
 
@@ -386,7 +386,7 @@ def _box(model: Any, dim: int, entity: int) -> Array:
 def _physical_groups(model: Any, path: Path) -> list[tuple[int, int, str]]:
     """Return dimension, tag and name, "" if it has none, of each group of facets or cells.
 
-    A MeshError is raised if there are no groups of facets or none of cells, or two have one name.
+    A MeshError is raised without groups of facets or of cells, or if a name has two tags.
     """
     dim = model.getDimension()
     for group_dim, entities in ((dim, "cells"), (dim - 1, "facets")):

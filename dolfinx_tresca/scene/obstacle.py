@@ -47,7 +47,7 @@ class RigidMotion:
     def towards(self, end: RigidMotion, fraction: float, centre: Array) -> RigidMotion:
         """Return the motion at a fraction, from 0 to 1, of the way from this motion to an end.
 
-        The rotation is about a fixed axis, and the centre (3,) moves along a straight line.
+        The rotation, at most 180 degrees, has a fixed axis; the centre (3,) moves straight ahead.
         """
         turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
         R = turn.as_matrix() @ self.rotation
@@ -70,7 +70,7 @@ class RigidMotion:
 
     @property
     def matrix(self) -> Array:
-        """(3, 4) array of R and t."""
+        """(3, 4) array of R and t, in which states of load steps keep motions."""
         return np.column_stack([self.rotation, self.translation])
 
     @classmethod
@@ -256,7 +256,7 @@ class RigidObstacle:
             translation: vector of 2 or 3 components [length].
             rotation: angle about the z axis [rad], or a vector (3,), the axis times the angle.
             about: a point on the axis, at the original place [length]; by default the centre of a
-                sphere or of a file, the given point of a plane or a cylinder, else the origin.
+                sphere or file, or the point of a plane or cylinder, as created; else the origin.
 
         Raises:
             InputError: an argument is not a vector of finite numbers.
@@ -305,7 +305,7 @@ class RigidObstacle:
     def distance(self, points: Array) -> Array:
         """Return signed distances (n,) of points (n, 3) [length], for pictures. Not collective.
 
-        Where the user's function is not defined, the largest distance replaces values not finite.
+        Where the user's function returns no finite distance, the largest of the others is taken.
         """
         with np.errstate(all="ignore"):
             returned = self.signed_distance(self.motion.reversed_from(points.T))
@@ -479,7 +479,7 @@ def _constants_of(*values: Any) -> list[fem.Constant]:
 def _spherical_distance(offset: Array, radius: float, hollow: bool) -> tuple[Array, Array]:
     """Return distances (n,) and normals (3, n) of a sphere or a cylinder.
 
-    Points have the offsets (3, n) from centre or axis [length]; a `hollow` obstacle is outside.
+    The offsets (3, n) of points are from its centre or axis [length]. If `hollow`, it is a hole.
     """
     length = np.linalg.norm(offset, axis=0)
     sign = -1.0 if hollow else 1.0

@@ -238,9 +238,9 @@ def check_tags(pairs: Sequence[ContactPair], mesh: Any) -> None:
 
 
 def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
-    """Return the user's argument `pairs` as a list, if it is one of contact pairs.
+    """Return the user's argument `pairs` as a list whose entries are checked.
 
-    An InputError is raised if there is none, or if two have the same given name or the same sides.
+    An InputError is raised if there is none, or if two share a given name or the same two surfaces.
     """
     check_type("pairs", pairs, Iterable, "a sequence", " Write [pair] for a single one.")
     result = list(pairs)
