@@ -122,8 +122,8 @@ def contacts(
         body: float(np.mean([faces[tag].size for tag in tags]))
         for body, tags in tags_of_body.items()
     }
-    if len(sizes) == 1:
-        raise MeshError("the mesh is one body: contacts are between faces of different bodies.")
+    if len(sizes) < 2:
+        raise MeshError("contacts need tags of two bodies, which no other body has on its faces.")
     distances = {body: np.inf for body in sizes}
     pairs: list[ContactPair] = []
     measures: dict[tuple[int, int], TouchingFaces] = {}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -175,12 +177,7 @@ WRONG = {
         "body 1/1, .* touch no other body: their box is 2.5 away",
     ),
     "faces that cross": (overlapping_faces, {}, MeshError, "Faces of a body that overlap or cross"),
-    "one body in metres": (
-        in_metres,
-        {"size": {"body 1": 0.5}},
-        MeshError,
-        "units of length of the",
-    ),
+    "one body in metres": (in_metres, {"size": {"body 1": 0.5}}, MeshError, "units of length of"),
     "a size": (apart, {"size": -1.0}, InputError, "must be a positive number, found -1.0"),
     "a body": (apart, {"size": {"pin": 1.0}}, InputError, "no body 'pin'; its bodies are body 1"),
     "a unit": (apart, {"unit": "mile"}, InputError, "unit must be one of mm, "),
@@ -210,3 +207,6 @@ def test_a_body_beside_the_others_is_warned_of(session, caplog):
     assert len(contacts(tagged, friction=Frictionless(), distance=0.1)) == 1
     text = " ".join(caplog.text.split())
     assert "body 3/1, body 3/2, body 3/3, 3 more touch no other body: their box is 3 away" in text
+    single = compat.with_values(tagged.facet_tags, np.ones_like(tagged.facet_tags.values))
+    with pytest.raises(MeshError, match="need tags of two bodies"):
+        contacts(replace(tagged, facet_tags=single), friction=Frictionless())
