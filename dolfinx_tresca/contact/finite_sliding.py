@@ -51,8 +51,8 @@ ADVICE = "Take smaller load steps: surfaces may slide by a few cells in one"
 #: Free bodies begin a load step with at most this multiple of their last motion, or -1 times it.
 MOST_CONTINUED = 2.0
 
-#: Configurations after which a solve gives up; convergence takes 5 to 12.
-MAX_CONFIGURATIONS = 40
+#: Configurations after which a solve gives up; most take 5 to 12, coarse roller bearings over 40.
+MAX_CONFIGURATIONS = 60
 
 #: Changes of gaps are divided by the displacement since the last accepted step, or by this fraction
 #: of the whole displacement if the fraction is larger. If a wheel turns on a body that rests, the
