@@ -252,7 +252,7 @@ def test_configurations_that_do_not_converge(comm, monkeypatch):
     with problem:
         solution = problem.solve()
         assert solution.status is ContactStatus.MAX_ITERATIONS
-        with pytest.raises(ConvergenceError, match=r"In configuration 40 .* smaller load steps"):
+        with pytest.raises(ConvergenceError, match=r"In configuration 60 .* smaller load steps"):
             solution.raise_if_failed()
         with pytest.raises(ConvergenceError, match="MAX_ITERATIONS"):
             problem.accept()
