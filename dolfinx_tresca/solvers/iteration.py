@@ -290,7 +290,7 @@ class ModelNewton:
         # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
-                residual.count(iterate.r + problem.b)  # the scale is at least |A x|
+                residual.raise_scale(iterate.r + problem.b)  # the scale is at least |A x|
             else:
                 iterate.return_to_zero()
                 residual.set_constraint_multipliers(iterate.c)
