@@ -152,8 +152,8 @@ class EqualityConstraints:
         return values[kept], vectors[:, kept]
 
 
-#: `balance`, whose docstring explains G, z, C and phi, ends without a solution if the rounding error
-#: of G z, relative to the terms of the equation, exceeds this number: z goes to infinity if the
+#: `balance`, whose docstring explains G, z, C and phi, ends without a solution if the rounding of
+#: G z, relative to the terms of the equation, exceeds this number: z goes to infinity if the
 #: equation has no solution, or if all its solutions are on the boundary of Lambda.
 LOST = 1e-6
 

@@ -151,7 +151,7 @@ class DualSolution:
         gradient: (size,) r = A lambda - b - G c at the multipliers.
         residuals: relative natural residual at the start and after each iteration.
         q: q(lambda) at the start and after each iteration, with the energy of soft constraints.
-        wanted: requested relative error in the energy norm; inf: none, as if residuals decided.
+        wanted: requested relative error in the energy norm; inf: none (residuals alone decided).
         displacement_tolerance: tolerable error of the displacement in the energy norm, not
             relative; None: determined by the options of the solver for K.
         deficit: motion along which friction is too weak for the constraints, if known.
