@@ -28,7 +28,7 @@ class NaturalResidual:
     x may be larger, as in a wedge without load; the scale is then at least |A x|.
 
     Attributes:
-        rho: length of the gradient step in the residual, about 1 / sigma_max of A.
+        rho: length of the gradient step in the residual, `step_factor` / sigma_max of A.
         scale: the divisor of relative residuals, see above.
         zero: the point lambda = 0, with the constraints' present multipliers.
         zero_is_solution: whether the residual at lambda = 0 is rounding.
@@ -60,7 +60,7 @@ class NaturalResidual:
         constraint_terms = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self.terms = norm(self._problem, self._problem.b_terms)
         terms = self.terms + norm(self._problem, constraint_terms)
-        # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), and rho is 1 / sigma_max
+        # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), rho ~ 1 / sigma_max
         self.rounding = max(ROUNDING * terms, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = at_zero <= self.rounding
         self.scale = max(0.0 if self.zero_is_solution else at_zero, self._least_scale)
@@ -76,8 +76,8 @@ class NaturalResidual:
         The `error` e is given in the norm sqrt(e'A^-1 e). Zero is undecided if its residual is at
         most |e|, and gradients that are lower by |e| in each row cause a pressure. Collective.
         """
-        largest, zero = error / float(np.sqrt(self.rho)), self.zero  # the bound of |e| in `set_rho`
-        return self.scale <= largest and self.norm_at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
+        bound, zero = error / float(np.sqrt(self.rho)), self.zero  # of |e|, as in `set_rho`
+        return self.scale <= bound and self.norm_at(Point(zero.x, zero.c, zero.r - bound)) > 0.0
 
     def norm_at(self, point: Point) -> float:
         """Return the natural residual, not divided by its scale. Collective."""
@@ -165,7 +165,7 @@ class History:
         observe: Observe,
         residual: NaturalResidual,
     ) -> None:
-        """Begin a solve. Not collective."""
+        """Begin without iterates; `accuracy` is inf if the mesh is to decide. Not collective."""
         self._problem, self._options, self._observe = problem, options, observe
         self.residual = residual
         given, rtol = options.accuracy, options.rtol

@@ -42,11 +42,11 @@ class Face:
     discs: FeasibleSet
 
     def radial_parts(self, v: Array) -> Array:
-        """Return the components (n_discs,) of v (size,) along `radial`; 0 without slip."""
+        """Return components (n_discs,) of v (size,) along `radial`; 0 at nodes without slip."""
         return self.discs.sums(v * self.radial)
 
     def along_radius(self, lengths: Array) -> Array:
-        """Return vectors (size,) along `radial` with these lengths (n_discs,); 0 without slip."""
+        """Return vectors (size,) along `radial` with lengths (n_discs,); 0 where nothing slips."""
         return self.radial * self.discs.at_tangents(lengths)
 
 
@@ -206,7 +206,7 @@ class FeasibleSet:
         return np.asarray(np.where(face.active, v, 0.0) + face.along_radius(radius))
 
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
-        """Return kappa (size,), the inward part of the gradient r over g; zero without slip.
+        """Return kappa (size,), the inward part of the gradient r over g; 0 without slip.
 
         Kappa is the Lagrange multiplier of |lambda|^2 / 2 <= g^2 / 2: r + kappa lambda = 0 at the
         solution. The curvature of the circle adds kappa to the second derivative of q along it. If
@@ -422,7 +422,7 @@ class FrictionCones(FeasibleSet):
         return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
 
     def _coefficients(self, pressure: Array) -> Array:
-        """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""
+        """Return F (n_discs,) at normal multipliers `pressure` (n_discs,), and at `self.slip`."""
         return self.curves.coefficients(self.coefficient, pressure, self.slip)
 
     def _bound(self, pressure: Array, coefficient: Array) -> Array:
@@ -437,9 +437,9 @@ class FrictionCones(FeasibleSet):
         to the radius c, along a slope up to c + l, and from there with constant radius.
 
         Returns:
-            normal multipliers (n_discs,); ratio (n_discs,) of the norms of the tangential
-            multipliers after and before, 1 if that before is zero; and the derivative
-            (2, 2, n_discs) of pressure and radius with respect to their values before.
+            normal multipliers (n_discs,); ratio (n_discs,) of the norm of the tangential
+            multipliers to their norm in y, 1 if that is zero; and the derivative (2, 2, n_discs)
+            of pressure and radius with respect to their values in y.
         """
         given, nodes = np.array([self.of_normals(y), self.norms(y)]), np.arange(len(self.radius))
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)

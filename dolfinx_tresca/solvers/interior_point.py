@@ -43,7 +43,7 @@ class SecondOrderCones:
     column `_position` (m, 3); -1: none.
 
     Attributes:
-        free: (size,) 1; 0 for multipliers that are zero, since their bound is.
+        movable: (size,) 1; 0 for multipliers that are zero, since their slip bound is.
         constant: (m, 3) h.
     """
 
@@ -56,7 +56,7 @@ class SecondOrderCones:
         tangents = np.full((len(admissible.radius), 2), -1)
         axis = np.arange(len(node)) - np.searchsorted(node, node)  # 0 or 1 in the node's disc
         tangents[node, axis] = admissible.tangential[order]
-        self.free = 1.0 - admissible.at_tangents((~admissible.movable).astype(float))
+        self.movable = 1.0 - admissible.at_tangents((~admissible.movable).astype(float))
         # half-lines of pressures; y is in units of energy^(1/2), equally for the three components
         none = np.full((len(admissible.normal), 2), -1)
         positions: list[Indices] = [np.column_stack([admissible.normal, none])]
@@ -189,7 +189,7 @@ def interior_point(
     reductions, constraints = problem.reductions, problem.constraints
     G = constraints.columns
     cone_map = SecondOrderCones(admissible, model.diagonal)
-    movable = diags_array(cone_map.free, format="csr")
+    movable = diags_array(cone_map.movable, format="csr")
 
     def largest(values: Array) -> float:
         return reductions.largest(float(values.max(initial=0.0)))

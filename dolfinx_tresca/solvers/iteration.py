@@ -72,7 +72,7 @@ class Iterate:
         r: (size,) A x - b, the gradient at the point, without the term -G c of constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
         finest: lower bound on the errors that are requested of gradients.
-        learned: whether the newest step, or a change of accuracy, has changed the model of A.
+        learned: whether the newest step has changed the model of A, or accuracies; True at first.
     """
 
     x: Array
@@ -347,17 +347,17 @@ class ModelNewton:
         stalls = (is_same and not iterate.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
-        is_limited = norms[-1] <= EXHAUSTED * max(residual.scale, residual.terms)
-        is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not is_limited
-        misses = self.misses >= MISSES
-        if (stalls or is_slow or misses) and self.complete_products():
+        may_be_rounding = norms[-1] <= EXHAUSTED * max(residual.scale, residual.terms)
+        is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not may_be_rounding
+        model_fails = self.misses >= MISSES
+        if (stalls or is_slow or model_fails) and self.complete_products():
             return None
-        if not stalls and not (misses and isinstance(self.iterate.store, WholeModel)):
+        if not stalls and not (model_fails and isinstance(self.iterate.store, WholeModel)):
             return None
         # without a solution: find the cause, where bounds depend on the pressure
         if not self.problem.admissible.has_given_bounds:
             self.deficit = friction_deficit(self.problem, target)
-            if self.deficit is not None or not is_limited:
+            if self.deficit is not None or not may_be_rounding:
                 return ContactStatus.NO_FIXED_POINT
         return ContactStatus.STAGNATED
 

@@ -129,7 +129,7 @@ class Run:
 
     @property
     def target(self) -> Array:
-        """The end of a gradient step, x - rho r, (size,)."""
+        """The end x - rho r (size,) of a gradient step, whose face (38.12), (38.13) steps use."""
         return self.x - self.history.residual.rho * self.r
 
     def iterate(

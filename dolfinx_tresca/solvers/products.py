@@ -139,7 +139,7 @@ class BlockBFGSModel:
 
     @property
     def model_diagonal(self) -> Array:
-        """diag(M), (size,)."""
+        """diag(M) (size,), from which `SemismoothNewton` takes its step lengths."""
         return np.asarray(self.diagonal + ((self._U @ self._E) * self._U).sum(axis=1))
 
     def apply(self, x: Array) -> Array:
@@ -243,7 +243,7 @@ class ProductStore:
 
     @property
     def diagonal(self) -> Array:
-        """The estimate of diag(A), with the factor `scale`."""
+        """The estimate (size,) of diag(A), with the factor `scale`."""
         return self.scale * self._diagonal
 
     def __len__(self) -> int:
@@ -267,9 +267,9 @@ class ProductStore:
         new_energy = float(inner(new, new_product))
         if new_energy <= (RESOLVED * error) ** 2:
             return False
-        length = float(inner(new, new))
-        self._largest = max(self._largest, new_energy / length)
-        least = max(NEW_ENERGY * energy, NULL_ENERGY * self._largest * length)
+        square = float(inner(new, new))
+        self._largest = max(self._largest, new_energy / square)
+        least = max(NEW_ENERGY * energy, NULL_ENERGY * self._largest * square)
         if new_energy > least:
             self._append(new, new_product, error, new_energy)
         return True
@@ -321,10 +321,10 @@ class ProductStore:
         If there are too many pairs, their number is reduced to half the capacity.
         """
         self.scale = min(1.0, energy / float(self._reductions.inner(new, self._diagonal * new)))
-        length = np.sqrt(energy)
-        self.W = np.column_stack([self.W, new / length])
-        self.Y = np.column_stack([self.Y, product / length])
-        self.errors = np.append(self.errors, error / length)
+        root = np.sqrt(energy)
+        self.W = np.column_stack([self.W, new / root])
+        self.Y = np.column_stack([self.Y, product / root])
+        self.errors = np.append(self.errors, error / root)
         if len(self) > self.capacity:
             # eigenvectors of the largest eigenvalues of Y'Y, with which W stays A-orthonormal
             _, vectors = eigh(self._reductions.inner(self.Y, self.Y))

@@ -33,7 +33,7 @@ MOST_CUTS = 7
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
 #: softness is multiplied by `SOFTER` after each step that reduces the residual too little, and
-#: divided by it after each other step. With 1e-10 in place of 1e-4, stones of a pile drift away.
+#: divided by it after all other steps. With 1e-10 in place of 1e-4, stones of a pile drift away.
 #: With `SOFTER` = 3, piles of stones take a third more steps.
 PROXIMAL, SOFTER = 1e-4, 10.0
 
@@ -75,9 +75,8 @@ class SemismoothNewton:
     where P_g projects onto the section of the friction cones at the pressures of x; for Tresca's
     law this is Lambda. The step length rho of each node follows from the diagonal D of M. A step
     takes the face of the active sets (38.12), (38.13) at x - rho r, the end of a gradient step. On
-    this face, multipliers of slipping nodes only move along the circles that bound their friction
-    discs. At the solution on the face, slipping nodes satisfy r + kappa x = 0 with kappa = |r| / g,
-    where g is the slip bound. Hence
+    this face, multipliers of slipping nodes only move along the circles that bound their discs. At
+    the solution on the face, they satisfy r + kappa x = 0, kappa = |r| / g, with the bound g. Hence
 
         (P M P + diag(kappa)) s - P G c = -P r
 
@@ -85,8 +84,8 @@ class SemismoothNewton:
     system is symmetric. The convergence is quadratic once the active sets stay the same
     (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
     node also moves outwards with its pressure: s is replaced by P s + Q s on the left-hand side,
-    where Q contains the slope of g (`NodalMaps.on_face`). If g depends on the slip v, the component
-    of -r along the disc's radius, the radial part of s solves s = Q s + h (change of v), h = dg/dv.
+    where Q contains the slope of g (`NodalMaps.on_face`). The slip v is the radial component of -r.
+    If g depends on it, the radial component of s solves s = Q s + h (change of v) with h = dg/dv.
 
     Residuals are energy norms: those of multipliers are multiplied by the root of D, those of a
     constraint divided by the root of the sum of G^2 / D. A step is divided by four until it reduces
@@ -107,7 +106,7 @@ class SemismoothNewton:
         ones, G = np.ones_like(self.mean_diagonal), problem.constraints.columns
         total, size = (float(problem.inner(ones, v)) for v in (self.mean_diagonal, ones))
         self.softness = PROXIMAL * size / total if total > 0.0 else 0.0  # of the first step
-        scale = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) of each constraint
+        scale = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) sums of G^2 / D
         self.constraint_scale = np.where(scale > 0.0, scale, 1.0)
         self.load = self.energy(self.rho * problem.b, problem.constraints.values)
         self.rounding = ROUNDING * self.load
@@ -224,7 +223,8 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
         # far from the solution, no more steps than the interior-point method takes
         is_far = guess.residual > ROUGH * newton.load
         point = newton.solve(guess, tolerance, 2 * PATIENCE if is_far else MOST_STEPS)
-        # zero solves Coulomb's law without loads, and draws steps to itself where friction locks
+        # zero solves Coulomb's law without loads, and draws steps to itself where friction locks:
+        # then a solution from an interior point is taken, even if its residual is larger
         vanishes = problem.inner(point.x, point.x) < ROUGH**2 * problem.inner(start.x, start.x)
         is_lost = vanishes and not problem.admissible.has_given_bounds
         if is_lost or point.residual > (tolerance if is_far else enough):
@@ -283,16 +283,16 @@ def solve_model(
     best, least = None, float("inf")
     for _ in range(SHORT_PATIENCE):
         point = best if best is not None and least < initial else start
-        target = newton_solution(problem, store.model(store.near.model()), point)
-        step = target.x - point.x
+        end = newton_solution(problem, store.model(store.near.model()), point)
+        step = end.x - point.x
         if float(problem.inner(step, step)) == 0.0:
             break
-        change = store.apply_with_near(step) - G @ (target.c - point.c)
-        target = replace(target, r=point.r + change)
-        if (reached := residual.norm_at(target)) < least:
-            is_solved = target.is_solved and reached <= tolerance
-            best, least = replace(target, is_solved=is_solved), reached
-        if least <= tolerance or not target.is_solved:
+        change = store.apply_with_near(step) - G @ (end.c - point.c)
+        end = replace(end, r=point.r + change)
+        if (reached := residual.norm_at(end)) < least:
+            is_solved = end.is_solved and reached <= tolerance
+            best, least = replace(end, is_solved=is_solved), reached
+        if least <= tolerance or not end.is_solved:
             break
     # without a step, the diagonal is the base; a product with A then checks the step
     return best or newton_solution(problem, store.model(), start)
