@@ -1,7 +1,7 @@
 """Algorithms that minimise q = 1/2 lambda'A lambda - lambda'b over Lambda, (38.4).
 
-Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory. Of other packages, the
-room imports numpy and scipy only: it can be read and tested with dense matrices.
+Numbers such as (38.4) are those of Kucera et al. (2017), see docs/theory. The room imports neither
+DOLFINx nor PETSc, only numpy and scipy: it can be read and tested with dense matrices.
 
 The problem is given by protocols (`problem.py`): `DualProblem` for b, Lambda and the gradients at
 multipliers, and `Compliance` for A, of which every product is counted. Arrays have the rows of one
@@ -11,8 +11,8 @@ from the user's call through these algorithms to the table.
 - `ModelNewton`: the default method. A *model* M equals A where products are known; Newton's method
   solves the problem with M, and the step to its solution takes one product, which improves M.
   Coulomb's law runs in the same loop, without a fixed-point iteration around it: Newton's method
-  follows the bounds, and the residual, which projects onto `section_at(x, r)`, measures how far
-  bounds and pressures belong together. The energy need not decrease from step to step.
+  follows the bounds, and the residual, which projects onto `section_at(x, r)`, vanishes only if
+  the bounds are those of x itself. With this law, q need not decrease from step to step.
 - `Iterate`: the present multipliers and their gradient, which is only as accurate as a step needs.
 - `FeasibleSet` is Lambda for given slip bounds, `FrictionCones` where bounds depend on pressure or
   slip. The *section* of the cones at a point (`DualProblem.section_at`) is the Lambda of Tresca's
@@ -33,10 +33,10 @@ from the user's call through these algorithms to the table.
 | c | `c` | multipliers of the constraints |
 | G, S, e | `EqualityConstraints.columns`, `.softness`, `.values` | G'x + S c = e |
 | M | `model` | model of A |
-| D, W, Y | `ProductStore.near`, `.W`, `.Y` | near field; known products Y = A W |
-| P, rho | `FeasibleSet.project`, `NaturalResidual.rho` | projection onto Lambda, step length |
-| kappa, C | `FeasibleSet.circle_stiffness` | curvature of friction circles: norm of r / g |
-| T, R | `NodalMaps.test`, `.added` | equations of a Newton step, with slopes Q, H of slip bounds |
+| D, W, Y | `ProductStore.near` or `.diagonal`, `.W`, `.Y` | approximation of A; products Y = A W |
+| P, rho | `FeasibleSet.project`, `rho` | projection; step length (`SemismoothNewton`: one a row) |
+| kappa, C | `FeasibleSet.circle_stiffness` | curvature of friction circles: norm of r, over g |
+| T, R | `NodalMaps.test`, `.added` | equations of a Newton step, with slopes Q, L of slip bounds |
 | y, z, H | `SecondOrderCones` | tractions and slips in second-order cones, y = H x + h |
 
 Read first: `iteration.solve`, `iteration.ModelNewton.run`,

@@ -24,26 +24,26 @@ class InnerProduct(Protocol):
     """The inner product of distributed vectors."""
 
     def inner(self, x: Array | csr_array, y: Array | csr_array) -> Array:
-        """Return x'y over all ranks; x and y of shape (size,) or (size, k). Collective."""
+        """Return x'y over all ranks, dense; x and y are (size,) or (size, k). Collective."""
 
 
 class Reductions(InnerProduct, Protocol):
-    """Sums, values and rows of all ranks, on which they agree. All methods are collective."""
+    """Sums, largest values and rows of all ranks, the same on each. All methods are collective."""
 
     def total(self, x: Array) -> Array:
-        """Return the sum over all ranks of x, entry by entry; x has the same shape on all."""
+        """Return the sum of the ranks' x, entry by entry; x has the same shape on all ranks."""
 
     def largest(self, value: float) -> float:
-        """Return the largest value of all ranks."""
+        """Return the largest `value` of all ranks."""
 
     def sparse_inner(self, x: csr_array, y: csr_array) -> csr_array:
         """Return x'y over all ranks, equal on all ranks, for sparse x and y of shape (size, k)."""
 
     def stacked(self, rows: csr_array) -> csr_array:
-        """Return the rows (size, k) of all ranks in the order of ranks, (n, k)."""
+        """Return the rows (size, k) of all ranks below each other, (sum of sizes, k)."""
 
     def from_first_rank(self, x: Array) -> Array:
-        """Return the first rank's x; on the other ranks, x may differ by rounding."""
+        """Return the first rank's x: ranks whose x differ by rounding would take other branches."""
 
 
 def norm(space: InnerProduct, v: Array) -> float:
@@ -63,10 +63,10 @@ class EqualityConstraints:
     module does not depend on that meaning. Methods are collective.
 
     Attributes:
-        columns: G (size, k), with columns of length 1 or less. A row has entries for few bodies.
-        softness: (k, k) S, symmetric.
+        columns: G (size, k), sparse.
+        softness: (k, k) S, symmetric; its eigenvalues may be negative (see `balance`).
         values: (k,) e.
-        term_sums: (k,) sums of the absolute values of the terms of e, for rounding errors.
+        term_sums: (k,) sizes of the terms that add up to e; its rounding is relative to them.
     """
 
     columns: csr_array
@@ -90,22 +90,22 @@ class EqualityConstraints:
         return abs(self.columns)
 
     def along(self, x: Array) -> Array:
-        """Return G'x (k,)."""
+        """Return G'x (k,), summed over all ranks."""
         return self.reductions.total(self.columns.T @ x) if len(self) else np.empty(0)
 
     def along_absolute(self, x: Array) -> Array:
-        """Return |G|'x, (k,) or (k, columns), with the absolute values of G."""
+        """Return |G|'x, (k,) or (k, columns), for the sizes of the terms of G'x."""
         return self.reductions.total(self.absolute.T @ x)
 
     def softness_with(self, added: float) -> csr_array:
-        """Return S + s (I - V V') (k, k): exact equations, too, get a softness s = `added` >= 0."""
+        """Return S + s E (k, k), E = `_exact_projector`: exact equations get s = `added` >= 0."""
         if added == 0.0 or len(self) == 0:
             return self.softness
         return csr_array(self.softness + added * self._exact_projector)
 
     @cached_property
     def _exact_projector(self) -> csr_array:
-        """The projector I - V V' (k, k) onto exact equations, with the `soft_directions` V."""
+        """The projector E = I - V V' (k, k) onto exact equations, with the `soft_directions` V."""
         vectors = self.soft_directions[1]
         return csr_array(eye_array(len(self)) - vectors @ vectors.T)
 
@@ -116,8 +116,8 @@ class EqualityConstraints:
     def imbalance(self, x: Array, c: Array) -> float:
         """Return the larger of two relative residuals: of the exact and of the soft equations.
 
-        Each is the norm of the residual, divided by the norm of the terms of these equations. The
-        terms S c of soft equations may be larger than the loads by any factor.
+        Each is the norm of the residual, divided by the norm of the terms of all k equations. The
+        terms S c, which may be larger than the loads by any factor, count for soft equations only.
         """
         if len(self) == 0:
             return 0.0
@@ -133,8 +133,8 @@ class EqualityConstraints:
     def soft_violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
 
-        With the soft eigenvectors V of S and their eigenvalues s, V'd is V'(e - G'x - S c) / s. For
-        floating bodies, this is the energy norm of the rigid displacements missing for equilibrium.
+        With `soft_directions` s and V, V'd is V'(e - G'x - S c) / s. For softly held bodies, the
+        result is the energy norm of the rigid displacements that equilibrium still lacks.
         """
         eigenvalues, vectors = self.soft_directions
         missing = vectors.T @ self.residual(x, c)
@@ -142,7 +142,7 @@ class EqualityConstraints:
 
     @cached_property
     def soft_directions(self) -> tuple[Array, csr_array]:
-        """The eigenvalues of S above rounding errors, and their eigenvectors V (k, number)."""
+        """The positive eigenvalues s of S above rounding, and their eigenvectors V (k, number)."""
         if not self.softness.nonzero()[0].size:
             return np.empty(0), csr_array((len(self), 0))
         values, vectors = eigenpairs(self.softness)
@@ -152,15 +152,15 @@ class EqualityConstraints:
         return values[kept], vectors[:, kept]
 
 
-#: The search ends without a solution if the rounding error of G z, relative to the terms of the
-#: equation, exceeds this number: z goes to infinity if the equation has no solution, or if all its
-#: solutions are on the boundary of Lambda. `balance` explains G, z, C and phi.
+#: `balance`, whose docstring explains G, z, C and phi, ends without a solution if the rounding of
+#: G z, relative to the terms of the equation, exceeds this number: z goes to infinity if the
+#: equation has no solution, or if all its solutions are on the boundary of Lambda.
 LOST = 1e-6
 
 #: First value of the damping, which is the fraction of the diagonal of the majorant G'G + C that is
 #: added to the Hessian. After a whole step, the damping is multiplied by `RELAXATION`, since the
-#: next step may be longer where phi is flat; after a part of a step, it is divided by this part. If
-#: rounding makes the matrix indefinite, it is multiplied by `MORE_DAMPING`.
+#: next step may be longer where phi is flat; after a part of a step, it is divided by this part. In
+#: a step in which rounding makes the matrix indefinite, it is multiplied by `MORE_DAMPING`.
 DAMPING, RELAXATION, MORE_DAMPING = 1e-4, 1e-3, 10.0
 
 #: Relative accuracy of the part of a step that minimises phi, whose kinks may be at tiny parts.
@@ -176,11 +176,11 @@ class Balance:
     """The result of `balance`.
 
     Attributes:
-        shift: (k,) the solution z; the multipliers are P(y + G z).
+        shift: (k,) z; the multipliers are P(y + G z). Without a solution, z is a motion that
+            neither contact nor friction stops.
         excess: (k,) residual of the equation, its left side minus e.
-        satisfied: whether the residual is at most the rounding error of the equation's terms. (The
-            rounding of G z does not count.)
-        unbounded: whether all solutions are too large (`LARGEST_REACTION`), or none exists.
+        satisfied: whether the residual is at most the rounding of its terms, without that of G z.
+        unbounded: whether it is proven that no solution is below the limit `LARGEST_REACTION`.
     """
 
     shift: Array
@@ -197,8 +197,8 @@ def balance(
 ) -> Balance:
     """Search for multipliers in Lambda that satisfy equations: they balance the loads. Collective.
 
-    The result is z with G'P(y + G z) + C z = e, where P projects onto Lambda. The solution z
-    minimises the convex function
+    The result is z with G'P(y + G z) + C z = e, where P projects onto the feasible set. The
+    solution z minimises the convex function
 
         phi(z) = 1/2 |x|^2 - 1/2 |x - P(x)|^2 + 1/2 z'C z - z'e,    x = y + G z,
 
@@ -210,7 +210,7 @@ def balance(
 
     Args:
         constraints: the equations.
-        feasible_set: Lambda.
+        feasible_set: Lambda, or friction cones.
         start: (size,) y; the multipliers P(y + G z) are the nearest ones to y; None: zero.
         softness_factor: C is S times this number, without the negative eigenvalues that S has if a
             free body under pressure resists its rotation negatively. Without a start, C is the
@@ -266,7 +266,7 @@ def balance(
 
 
 def _damped_solution(matrix: csr_array, right: Array, damping: float) -> Array:
-    """Return (M + d I)^-1 b for a matrix M >= 0, with the least damping d that rounding permits."""
+    """Return (matrix + d I)^-1 right; d is the damping, or more if rounding needs it."""
     unit = eye_array(len(right))
     while damping < np.inf:
         factors = factored(matrix + damping * unit)
@@ -284,28 +284,28 @@ def _dot(x: Array, y: Array) -> float:
 
 
 def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
-    """Return eigenvalues (k,) and eigenvectors (k, k) of a symmetric matrix.
+    """Return eigenvalues (n,) and eigenvectors, the columns (n, n), of a symmetric matrix.
 
     Rows that nonzero entries connect, directly or through other rows, are treated as one dense
     block: the cost grows with the sum of the cubes of the blocks' sizes. Eigenpair number j belongs
     to the block of row j; the eigenvalues of a block ascend.
     """
     label = connected_components(matrix, directed=False)[1]
-    # the rows of one block after the other, ascending in each block; `place` undoes this order
+    # the rows of one block after the other, ascending in each block; `position` undoes this order
     order = np.argsort(label, kind="stable")
     blocks = np.split(order, np.cumsum(np.bincount(label))[:-1])
     rows = csr_array(matrix)
     pairs = [np.linalg.eigh(rows[block][:, block].toarray()) for block in blocks]
     vectors = csr_array(block_diag([csr_array(vectors) for _, vectors in pairs]))
-    place = np.argsort(order)
-    return np.concatenate([values for values, _ in pairs])[place], vectors[place][:, place]
+    position = np.argsort(order)
+    return np.concatenate([values for values, _ in pairs])[position], vectors[position][:, position]
 
 
 def factored(matrix: csr_array) -> Any | None:
-    """Return SciPy's triangular factors of a symmetric matrix; None if there is a zero pivot.
+    """Return SciPy's triangular factors of a symmetric matrix; None if it is singular.
 
     The matrix is factored as L U without pivoting, which for positive definite matrices is as
-    stable as Cholesky's method.
+    stable as Cholesky's method. (Only at a pivot that is exactly zero, SuperLU swaps rows.)
     """
     try:
         return splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})

@@ -1,4 +1,4 @@
-"""When an iteration has converged: the natural residual, the criteria, and the record of it."""
+"""When an iteration has converged: the natural residual, the criteria, and all iterates' values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dolfinx_tresca.solvers.constraints import norm
 from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
-#: Largest residual, divided by its scale or by `terms`, whose stagnation rounding may cause.
+#: Largest residual, relative to the larger of its scale and `terms`, that may stall by rounding.
 EXHAUSTED = float(np.sqrt(np.finfo(float).eps))
 
 
@@ -24,11 +24,11 @@ class NaturalResidual:
     With equality constraints, |e - G'lambda - S c| / rho is the other component of the residual.
     The relative residual is this residual divided by its scale. The scale is the residual at
     lambda = 0, so that the relative residual does not depend on units, on the size of the load, or
-    on the initial guess. In a load step the residual of the initial multipliers x may be larger
-    than that at lambda = 0, as in a wedge without load; the scale is then at least |A x|.
+    on the initial guess. In a load step with Coulomb's law the residual of the initial multipliers
+    x may be larger, as in a wedge without load; the scale is then at least |A x|.
 
     Attributes:
-        rho: length of the gradient step in the residual, about 1 / sigma_max of A.
+        rho: length of the gradient step in the residual, `step_factor` / sigma_max of A.
         scale: the divisor of relative residuals, see above.
         zero: the point lambda = 0, with the constraints' present multipliers.
         zero_is_solution: whether the residual at lambda = 0 is rounding.
@@ -43,7 +43,7 @@ class NaturalResidual:
         The `error` is that of b in the norm sqrt(e'A^-1 e), if the solver for K cannot reduce it:
         residuals below it count as zero. By default, only rounding counts as zero.
         """
-        self._problem, self._error, self._counted, self.rho = problem, error, 0.0, rho
+        self._problem, self._error, self._least_scale, self.rho = problem, error, 0.0, rho
         self.set_constraint_multipliers(np.zeros(len(problem.constraints)))
 
     def set_constraint_multipliers(self, c: Array) -> None:
@@ -60,24 +60,24 @@ class NaturalResidual:
         constraint_terms = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self.terms = norm(self._problem, self._problem.b_terms)
         terms = self.terms + norm(self._problem, constraint_terms)
-        # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), and rho is 1 / sigma_max
+        # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), rho ~ 1 / sigma_max
         self.rounding = max(ROUNDING * terms, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = at_zero <= self.rounding
-        self.scale = max(0.0 if self.zero_is_solution else at_zero, self._counted)
+        self.scale = max(0.0 if self.zero_is_solution else at_zero, self._least_scale)
 
-    def count(self, product: Array) -> None:
+    def raise_scale(self, product: Array) -> None:
         """Increase the scale to the norm of a product A x (size,), if it is larger. Collective."""
-        self._counted = norm(self._problem, product)
-        self.scale = max(self.scale, self._counted)
+        self._least_scale = norm(self._problem, product)
+        self.scale = max(self.scale, self._least_scale)
 
     def zero_is_undecided(self, error: float) -> bool:
         """Return whether the gradient is too inaccurate to decide if zero is the solution.
 
         The `error` e is given in the norm sqrt(e'A^-1 e). Zero is undecided if its residual is at
-        most |e|, and a pressure begins once each gradient is lowered by |e|. Collective.
+        most |e|, and gradients that are lower by |e| in each row cause a pressure. Collective.
         """
-        largest, zero = error / float(np.sqrt(self.rho)), self.zero  # the bound of |e| in `set_rho`
-        return self.scale <= largest and self.norm_at(Point(zero.x, zero.c, zero.r - largest)) > 0.0
+        bound, zero = error / float(np.sqrt(self.rho)), self.zero  # of |e|, as in `set_rho`
+        return self.scale <= bound and self.norm_at(Point(zero.x, zero.c, zero.r - bound)) > 0.0
 
     def norm_at(self, point: Point) -> float:
         """Return the natural residual, not divided by its scale. Collective."""
@@ -101,7 +101,7 @@ def dual_energy(problem: DualProblem, point: Point) -> float:
 def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float:
     """Return the root of |u|_K^2 + c'S c [energy^(1/2)] for the displacement u. Collective.
 
-    If |u|_K is less than its `error`, it counts as 0.
+    If the `error` of u may hide |u|_K (`DualProblem.energy_norm`), |u|_K counts as 0.
     """
     constraints, c = problem.constraints, point.c
     soft = float(c @ constraints.softness @ c)
@@ -110,7 +110,7 @@ def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float
 
 
 def energy_error(problem: DualProblem, point: Point, error: float = 0.0) -> float:
-    """Return a bound of the displacement's relative error in the energy norm. Collective."""
+    """Return a bound of the relative energy error; `error` is the gradient's. Collective."""
     missing = problem.constraints.soft_violation(point.x, point.c)
     bound = problem.energy_bound(point.x, point.r, error + missing)
     return relative_error(problem, bound, energy_norm(problem, point, error))
@@ -145,11 +145,11 @@ Observe = Callable[[Iteration], bool]
 class History:
     """Checks the convergence of each iterate of a solve, and records residuals and energies.
 
-    With `accuracy=`, only the bound of the energy error is checked. By default, the requested
-    energy error is a part of the discretisation error, and the traction of every node must be near
-    its local minimiser (`DualProblem.local_error`), since energies say little about peaks and
-    states. With `rtol=`, the residual is checked in addition: for slender bodies, for example, the
-    energy error may be large although the residual is small.
+    Floating bodies must be in equilibrium. With `accuracy=`, only the bound of the energy error is
+    checked besides. By default, the requested energy error is a part of the discretisation error,
+    and the traction of every node must be near its local minimiser (`DualProblem.local_error`),
+    since energies say little about peaks and states. With `rtol=`, the residual is checked in
+    addition: of slender bodies, the energy error may be large although the residual is small.
 
     Attributes:
         accuracy: relative error in the energy norm that is requested; inf: not yet known.
@@ -165,7 +165,7 @@ class History:
         observe: Observe,
         residual: NaturalResidual,
     ) -> None:
-        """Begin a solve. Not collective."""
+        """Begin without iterates; `accuracy` is inf if the mesh is to decide. Not collective."""
         self._problem, self._options, self._observe = problem, options, observe
         self.residual = residual
         given, rtol = options.accuracy, options.rtol
@@ -200,8 +200,8 @@ class History:
     def is_idle(self, iterations: int, progress: float, since: int = 0) -> bool:
         """Return whether residuals have hardly decreased in the last `iterations`. Not collective.
 
-        They have not if their least residual exceeds `progress` times the least residual before
-        them. Iterates before the one with the index `since` do not count.
+        This is so if the least residual of these iterations exceeds `progress` times the least
+        residual before them. Iterates before the one with the index `since` do not count.
         """
         residuals = self.residuals[since:]
         return len(residuals) > iterations and (
@@ -225,7 +225,7 @@ class History:
             wanted=self.accuracy,
             # the displacement is computed after the last check of convergence: with an error as
             # large as the tolerable error, its error bound could exceed the bound that was checked;
-            # but the error of the gradient, which is that of A, stays
+            # the displacement of the last gradient, with its `error`, may always stay
             displacement_tolerance=(
                 None if error is None else max(error, FORCING * self.tolerable_error(point))
             ),
@@ -235,8 +235,8 @@ class History:
         """Return the reached and the requested accuracy, and whether the iterate is good enough.
 
         The two numbers belong to the first criterion that is not met; if all criteria are met, they
-        belong to the last criterion. Unless the user set `accuracy=`, the first call with a bound
-        below `FORCING` sets `accuracy` from the error of the mesh. An iterate whose residual is
+        belong to the last criterion. Unless the user set `accuracy=`, the first call that meets the
+        energy error `FORCING` sets `accuracy` from the mesh's error. An iterate whose residual is
         exactly zero is always good enough, since no step would change it. Collective.
 
         The `error` is that of the gradient; the `residual` is not divided by its scale.
@@ -253,8 +253,8 @@ class History:
         """Yield the reached and the requested value of each criterion in turn. Collective.
 
         A criterion is computed only if the caller asks for it, after the earlier criteria are met.
-        If the residual is rounding, equilibrium is not checked; and nothing is checked if zero is
-        the solution, or if the user gave neither a number for `accuracy=` nor `rtol=`.
+        If the residual is rounding, equilibrium is not checked; nor is anything if, besides, zero
+        is the solution, or the user gave neither a number for `accuracy=` nor `rtol=`.
         """
         problem, rtol, x, r = self._problem, self._options.rtol, point.x, point.r
         user_asks = rtol is not None or not self._mesh_decides
@@ -287,8 +287,8 @@ class History:
     def tolerable_error(self, point: Point) -> float:
         """Return the tolerable error of the last gradient, in the norm sqrt(e'A^-1 e). Collective.
 
-        The tolerable error is small compared with the error of the multipliers, since the local
-        errors of the nodes are computed from the gradient.
+        It is small compared with the error of the displacement, or with the residual that `rtol`
+        requests, since the criteria of convergence are computed from the gradient.
         """
         displacement_norm = energy_norm(self._problem, point)
         if displacement_norm == 0.0:  # no relative error

@@ -20,7 +20,7 @@ from dolfinx_tresca._base.arrays import Array, Indices, Mask
 
 @dataclass(frozen=True)
 class Face:
-    """The face of Lambda on which a point lies, and the directions that stay on it to first order.
+    """The face of Lambda on which a point lies: which nodes are open, pressed, stick or slip.
 
     A disc of radius zero is a single point, and counts neither as stick nor as slip.
 
@@ -30,7 +30,7 @@ class Face:
         active: (size,) multipliers without restriction: normal multipliers in the active set A_nu
             of (38.12), tangential multipliers of sticking nodes, and all of bonded nodes.
         free: (size,) active multipliers, and those of slipping nodes, which move along circles.
-        radial: (size,) unit vectors along the multipliers of slipping nodes; zero elsewhere.
+        radial: (size,) outward unit vectors of the discs of slipping nodes; zero elsewhere.
         discs: Lambda, with the positions of the discs' multipliers.
     """
 
@@ -42,11 +42,11 @@ class Face:
     discs: FeasibleSet
 
     def radial_parts(self, v: Array) -> Array:
-        """Return the parts (n_discs,) of v (size,) along the unit vectors `radial`."""
+        """Return components (n_discs,) of v (size,) along `radial`; 0 at nodes without slip."""
         return self.discs.sums(v * self.radial)
 
     def along_radius(self, lengths: Array) -> Array:
-        """Return vectors (size,) along `radial` with the given lengths (n_discs,)."""
+        """Return vectors (size,) along `radial` with lengths (n_discs,); 0 where nothing slips."""
         return self.radial * self.discs.at_tangents(lengths)
 
 
@@ -55,7 +55,7 @@ class FeasibleSet:
     """Lambda: normal multipliers are not negative, tangential ones lie in the disc of their node.
 
     A disc has as many dimensions as its node has tangential degrees of freedom: two in 3D, one in
-    2D and in a symmetry plane. Multipliers of bonded surfaces are neither, and not restricted.
+    2D and in a symmetry plane. Multipliers of bonded surfaces are in neither group, and any number.
 
     Attributes:
         size: number of multipliers on this rank.
@@ -63,8 +63,7 @@ class FeasibleSet:
         tangential: (n_tangential,) positions of the tangential multipliers lambda_tau.
         node: (n_tangential,) disc of each tangential multiplier, in 0, ..., n_discs - 1.
         radius: (n_discs,) bounds g >= 0 of the norm of each node's lambda_tau.
-        normal_of: (n_discs,) position of the normal multiplier of the disc's node; -1: there is
-            none, or the disc is not that of the node's friction.
+        normal_of: (n_discs,) position of the normal multiplier that may bound the disc; -1: none.
     """
 
     #: Whether slip bounds depend neither on pressures nor on slips, as in Tresca's law.
@@ -78,51 +77,51 @@ class FeasibleSet:
     normal_of: Indices
 
     def norms(self, v: Array) -> Array:
-        """Return the norms (n_discs,) of the tangential parts of v (size,)."""
+        """Return the norm (n_discs,) of the tangential entries of v (size,) in each disc."""
         return np.sqrt(self.sums(v**2))
 
     def disc_means(self, v: Array) -> Array:
-        """Return the mean (n_discs,) of the tangential parts of each disc; 0 for empty discs."""
+        """Return the mean (n_discs,) of the tangential entries of v (size,) in each disc, or 0."""
         return np.asarray(self.sums(v) / np.maximum(self.sums(np.ones_like(v)), 1.0))
 
     def mean_over_discs(self, v: Array) -> Array:
-        """Return a diagonal v (size,) with one value in each disc, the mean: discs stay discs."""
+        """Return a diagonal v (size,) with its mean in each disc: it scales discs to discs."""
         result = v.copy()
         result[self.tangential] = self.disc_means(v)[self.node]
         return result
 
     def at_point(self, x: Array, r: Array, target: Array | None = None) -> FeasibleSet:
-        """Return the set itself: its bounds depend neither on pressures nor on slips."""
+        """Return the set itself, since its bounds are given (compare `FrictionCones.at_point`)."""
         return self
 
     def slip_along(self, face: Face) -> Array:
-        """Return zeros (size,): slip bounds do not depend on slips."""
+        """Return zeros (size,), since the bounds are given (`FrictionCones.slip_along`)."""
         return np.zeros(self.size)
 
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
-        """Return zeros (2, n_discs): slip bounds change neither with pressures nor with slips."""
+        """Return zeros (2, n_discs), since the bounds are given (`FrictionCones.slopes`)."""
         return np.zeros((2, len(self.radius)))
 
     def at_normals(self, values: Array) -> Array:
-        """Return values (n_discs,) in the normal rows (size,) of their nodes, zero elsewhere."""
+        """Return values (n_discs,) as a vector (size,) of normal rows, zero elsewhere."""
         result, has = np.zeros(self.size), self.normal_of >= 0
         result[self.normal_of[has]] = values[has]
         return result
 
     def of_normals(self, v: Array) -> Array:
-        """Return the entries (n_discs,) of v (size,) in the discs' normal rows; 0 without one."""
+        """Return the entry (n_discs,) of v (size,) in each disc's normal row; 0 without a row."""
         return np.append(v, 0.0)[self.normal_of]  # -1: the appended zero
 
     def at_tangents(self, values: Array) -> Array:
-        """Return values (n_discs,) in the tangential rows (size,) of the discs, zero elsewhere."""
+        """Return values (n_discs,) as a vector (size,) of tangential rows, zero elsewhere."""
         result = np.zeros(self.size)
         result[self.tangential] = values[self.node]
         return result
 
     def linear_bounds(self) -> list[tuple[Array, Array]]:
-        """Return functions of the pressure p of each disc whose minimum is its slip bound.
+        """Return functions a + s p of the pressure p, the least of which is a disc's slip bound.
 
-        For each function a + s p the list has a, maybe infinite, and s, (n_discs,) each.
+        The list has a pair (a, s) for each function, (n_discs,) each; a may be infinite.
         """
         return [(self.radius, np.zeros_like(self.radius))]
 
@@ -133,15 +132,15 @@ class FeasibleSet:
 
     @property
     def movable(self) -> Mask:
-        """Which discs (n_discs,) may have nonzero multipliers."""
+        """Whether each disc (n_discs,) may have nonzero tangential multipliers."""
         return np.asarray(self.radius > 0.0)
 
     def section(self, x: Array) -> FeasibleSet:
-        """Return the set itself: its bounds do not depend on the pressures of x (size,)."""
+        """Return the set itself, since its bounds are given (compare `FrictionCones.section`)."""
         return self
 
     def dissipation(self, slip: Array) -> float:
-        """Return the sum of g |slip| over this rank's discs of finite radius."""
+        """Return the sum of g |slip| over this rank's discs of finite g; `slip` is (size,)."""
         bounded = np.isfinite(self.radius)
         return float(self.radius[bounded] @ self.norms(slip)[bounded])
 
@@ -166,7 +165,7 @@ class FeasibleSet:
         """Return a sparse matrix (size, size) that couples only multipliers of the same node.
 
         The diagonal (size,) is the first term. For each pair of vectors a and b (size,) in `terms`,
-        a_i b_j is added to the entry (i, j).
+        a_i b_j is added to the entry (i, j) if i and j belong to the same node.
         """
         pattern = self._pattern
         columns, rows = pattern.indices, np.repeat(np.arange(self.size), np.diff(pattern.indptr))
@@ -177,7 +176,7 @@ class FeasibleSet:
 
     @cached_property
     def _pattern(self) -> csr_array:
-        """The sparsity (size, size) of `nodal_matrix`."""
+        """The matrix (size, size) with nonzero entries where `nodal_matrix` may have entries."""
         size, with_normal = self.size, np.flatnonzero(self.normal_of >= 0)
         # multipliers of a node have the number of its disc, all others a number of their own
         number = np.arange(size) + len(self.radius)
@@ -202,16 +201,16 @@ class FeasibleSet:
         return Face(stick, slip, active, free, y * self.at_tangents(factor), self)
 
     def on_face(self, v: Array, face: Face) -> Array:
-        """Return v moved to a face: open nodes to zero, slipping nodes to their circles."""
+        """Return v (size,) moved to a face: open nodes to zero, slipping nodes to their circles."""
         radius = np.where(face.slip, self.radius, 0.0)  # infinity times zero is NaN
         return np.asarray(np.where(face.active, v, 0.0) + face.along_radius(radius))
 
     def circle_stiffness(self, gradient: Array, face: Face) -> Array:
-        """Return kappa = |r| / g (size,) at slipping nodes, zero elsewhere.
+        """Return kappa (size,), the inward part of the gradient r over g; 0 without slip.
 
-        Kappa is the Lagrange multiplier of |lambda| <= g: the curvature of the circle adds kappa to
-        the second derivative of q along the circle. If the gradient points outwards, kappa is zero
-        instead of negative. With a radius that is almost zero, kappa may be infinite.
+        Kappa is the Lagrange multiplier of |lambda|^2 / 2 <= g^2 / 2: r + kappa lambda = 0 at the
+        solution. The curvature of the circle adds kappa to the second derivative of q along it. If
+        r points outwards, kappa is zero. With a radius that is almost zero, it may be infinite.
         """
         kappa = np.zeros_like(self.radius)
         with np.errstate(over="ignore"):
@@ -220,14 +219,14 @@ class FeasibleSet:
         return self.at_tangents(kappa)
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
-        """Return v (size,) with its tangential parts times the factor (n_discs,) of their disc."""
+        """Return v (size,) with the entries of each disc multiplied by its factor (n_discs,)."""
         result = v.copy()
         result[self.tangential] *= factor[self.node]
         return result
 
 
 class Curve(Protocol):
-    """A coefficient of friction as a function of pressure and slip."""
+    """A coefficient of friction F(p, v) of the pressure p and the slip v at a node."""
 
     def values(self, pressure: Array, slip: Array) -> Array:
         """Return F (n,) at pressures (n,) [stress] and slips (n,) [length]."""
@@ -245,7 +244,7 @@ def pressed_values(
 ) -> Array:
     """Return F (n,) at nodes under pressure and 0 at open nodes, where F may be infinite.
 
-    The `points`, on which F does not depend, may be given as to any function of positions.
+    The `points` are ignored: they let callers evaluate F like a function of positions.
     """
     with np.errstate(all="ignore"):
         return np.where(pressure > 0.0, curve.values(pressure, slip), 0.0)
@@ -255,7 +254,7 @@ def pressed_values(
 class NodalCurves:
     """The curves of all discs, as functions of multipliers and their gradient.
 
-    A multiplier is a stress times the root of its node's area, and a gradient a length times it.
+    A multiplier is a stress, and a gradient is a length, times the root of the area of its node.
 
     Attributes:
         of_discs: for each curve the range of its discs, and the curve.
@@ -267,7 +266,7 @@ class NodalCurves:
 
     @np.errstate(all="ignore")
     def coefficients(self, constant: Array, pressure: Array, slip: Array | float) -> Array:
-        """Return F (n_discs,) at multipliers `pressure` and gradients `slip`, (n_discs,) each.
+        """Return F (n_discs,) at normal multipliers `pressure` and norms `slip` of gradients.
 
         Discs without a curve have the coefficient `constant` (n_discs,). Values of curves that are
         negative or not finite become zero: iterates may have pressures and slips far from those of
@@ -281,7 +280,7 @@ class NodalCurves:
 
     @np.errstate(all="ignore")
     def slopes(self, pressure: Array, slip: Array | float) -> Array:
-        """Return dF/dp and dF/dv (2, n_discs) by multiplier p and gradient v; 0 without a curve."""
+        """Return dF/dp and dF/dv (2, n_discs), p and v as in `coefficients`; 0 without a curve."""
         result = np.zeros((2, len(self.root)))
         for discs, curve, p, v in self.arguments(pressure, slip):
             result[:, discs] = np.nan_to_num(curve.slopes(p, v), posinf=0.0, neginf=0.0)
@@ -290,9 +289,9 @@ class NodalCurves:
     def arguments(
         self, pressure: Array, slip: Array | float
     ) -> list[tuple[slice, Curve, Array, Array]]:
-        """Return for each curve its discs, the curve, pressures [stress] and slips [length] (n,).
+        """Return for each curve its n discs, the curve, and their pressures and slips (n,).
 
-        The arguments (n_discs,) are multipliers and gradients.
+        They are a stress and a length; the arguments (n_discs,) are those of `coefficients`.
         """
         p: Array = np.maximum(pressure, 0.0) / self.root
         v: Array = np.divide(slip, self.root)
@@ -309,14 +308,14 @@ class FrictionCones(FeasibleSet):
 
     If F depends on pressure and slip (`curves`), the section at x has the bounds of these functions
     at the pressures of x and at the slips `slip`. The cones themselves have the coefficients of a
-    single point, which `at_point` sets; they serve to move nearby points into the set.
+    single point, which `at_point` sets; `project` moves points near it into these cones.
 
     Attributes:
         radius: (n_discs,) c >= 0, maybe infinite.
         coefficient: (n_discs,) F >= 0.
         limit: (n_discs,) l >= 0, maybe infinite.
         curves: coefficients that depend on pressure and slip, for some discs or none.
-        slip: (n_discs,) norm of the tangential gradient, at which curves are evaluated; or 0.0.
+        slip: (n_discs,) norm of the tangential gradient, at which curves are evaluated; 0.0: rest.
     """
 
     has_given_bounds = False
@@ -328,9 +327,9 @@ class FrictionCones(FeasibleSet):
 
     @property
     def movable(self) -> Mask:
-        """Which discs (n_discs,) may have nonzero multipliers."""
-        pressed = (self.coefficient > 0.0) & (self.limit > 0.0) & (self.normal_of >= 0)
-        return (self.radius > 0.0) | pressed
+        """Whether each disc (n_discs,) may have nonzero tangential multipliers."""
+        grows = (self.coefficient > 0.0) & (self.limit > 0.0) & (self.normal_of >= 0)
+        return (self.radius > 0.0) | grows
 
     def at_point(self, x: Array, r: Array, target: Array | None = None) -> FrictionCones:
         """Return the cones with the coefficients of friction at the pressures and slips of a point.
@@ -353,23 +352,23 @@ class FrictionCones(FeasibleSet):
         return dataclasses.replace(cones, coefficient=cones._coefficients(self.of_normals(x)))
 
     def linear_bounds(self) -> list[tuple[Array, Array]]:
-        """Return c + F p and c + l as in `FeasibleSet.linear_bounds`, for the coefficients F."""
+        """Return c + F p and c + l, of which the least is the slip bound, as in `FeasibleSet`."""
         zero = np.zeros_like(self.limit)
         return [(self.radius, self.coefficient), (self.radius + self.limit, zero)]
 
     def section(self, x: Array) -> FeasibleSet:
-        """Return Lambda with the bounds at the pressures of x (size,)."""
+        """Return Lambda with the bounds at the pressures of x (size,) and the slips of the set."""
         pressure = self.of_normals(x)
         radius = self._bound(pressure, self._coefficients(pressure))
         rows = self.size, self.normal, self.tangential, self.node
         return FeasibleSet(*rows, radius, self.normal_of)
 
     def slip_along(self, face: Face) -> Array:
-        """Return the slips `slip` as vectors (size,) along the radii of slipping nodes."""
+        """Return the slips of slipping nodes as vectors (size,) along their tractions."""
         return face.along_radius(np.zeros_like(self.radius) + self.slip)
 
     def project(self, y: Array) -> Array:
-        """Return the point of the set nearest to y (size,)."""
+        """Return the point of the cones, of all pressures and tractions, nearest to y (size,)."""
         pressure, ratio, _ = self._nearest(y)
         result: Array = self.scaled_discs(y, ratio)
         result[self.normal] = np.maximum(y[self.normal], 0.0)  # of nodes without a disc
@@ -402,7 +401,7 @@ class FrictionCones(FeasibleSet):
         """Return dg/dp and dg/dv (2, n_discs), at the pressures of x and the slips `slip`.
 
         The bounds are g = c + min(F(p, v) p, l). Slopes are zero outside of the mask `where`
-        (n_discs,), and where F p exceeds its limit.
+        (n_discs,), and where F p reaches the limit l.
         """
         pressure = self.of_normals(x)
         coefficient = self._coefficients(pressure)
@@ -413,33 +412,34 @@ class FrictionCones(FeasibleSet):
         return np.where(grows, result, 0.0)
 
     def exceed_limit(self, x: Array) -> Mask:
-        """Return for which discs (n_discs,) F p exceeds its limit at x (size,)."""
+        """Return for which discs (n_discs,) F p exceeds the limit l at x (size,)."""
         pressure = self.of_normals(x)
         return np.asarray(self._coefficients(pressure) * pressure > self.limit)
 
     def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
-        """Return each curve with the pressures [stress] at x and the slips [length] of the set."""
+        """Return each curve with the pressures of x [stress] and the slips of the set [length]."""
         arguments = self.curves.arguments(self.of_normals(x), self.slip)
         return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
 
     def _coefficients(self, pressure: Array) -> Array:
-        """Return F (n_discs,) at pressures (n_discs,), and at the slips of the set."""
+        """Return F (n_discs,) at normal multipliers `pressure` (n_discs,), and at `self.slip`."""
         return self.curves.coefficients(self.coefficient, pressure, self.slip)
 
     def _bound(self, pressure: Array, coefficient: Array) -> Array:
+        """Return c + min(F p, l) (n_discs,) for the coefficients F and pressures p."""
         grown = coefficient * np.maximum(pressure, 0.0)
         return np.asarray(self.radius + np.minimum(grown, self.limit))
 
     def _nearest(self, y: Array) -> tuple[Array, Array, Array]:
-        """Return the nearest points of the set in each node's half-plane (pressure, radius).
+        """Return the point of the set nearest to y (size,), in each node's (pressure, radius).
 
-        The boundary of the set in this plane has three edges: on the axis of zero pressure up to
-        the radius c, along a slope up to the radius c + l, and from there with constant radius.
+        The boundary of the set in this half-plane has three edges: on the axis of zero pressure up
+        to the radius c, along a slope up to c + l, and from there with constant radius.
 
         Returns:
-            normal multipliers (n_discs,); norms of the tangential multipliers, divided by their
-            norms before the projection (n_discs,), 1 if that norm is zero; and the derivative
-            (2, 2, n_discs) of pressure and radius with respect to their values before.
+            normal multipliers (n_discs,); ratio (n_discs,) of the norm of the tangential
+            multipliers to their norm in y, 1 if that is zero; and the derivative (2, 2, n_discs)
+            of pressure and radius with respect to their values in y.
         """
         given, nodes = np.array([self.of_normals(y), self.norms(y)]), np.arange(len(self.radius))
         grows = (self.normal_of >= 0) & np.isfinite(self.radius)

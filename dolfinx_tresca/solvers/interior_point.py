@@ -1,7 +1,7 @@
 """An interior-point method for the laws of contact and friction with a known A. Numpy and scipy.
 
-Near the solution it loses digits, where `SemismoothNewton` is exact, but the number of its steps
-hardly depends on the number of bodies, and it needs no initial guess.
+It finds initial guesses for `SemismoothNewton`, where that method fails: it loses digits near the
+solution, but the number of its steps hardly depends on that of bodies, and it needs no guess.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualProblem
 from dolfinx_tresca.solvers.products import NodalMaps, WholeModel
 
-#: The method ends when the complementarity y'z is below this multiple of its value at the start,
-#: which is far above the energy of the solution: on walls and piles, some steps of Newton's method
-#: remain. With 1e-16, rounding makes systems of walls singular.
+#: The method ends when the complementarity y'z is below this multiple of its value at the start.
+#: That value is far above the energy of the solution: on walls and piles, some steps of Newton's
+#: method remain. With 1e-16, rounding makes systems of walls singular.
 COMPLEMENTARY = 1e-12
 
 #: Part of the way to the boundary of the cones that a step takes at most.
 TO_BOUNDARY = 0.99
 
-#: The centring of a step, which is the factor by which it is to reduce y'z, is (1 - t)^2 for the
-#: length t of the previous step, but between these numbers; in the first step it is the second one.
+#: The centring of a step, the factor by which it is to multiply y'z, is (1 - t)^2 for the length t
+#: of the previous step, but between these two numbers; in the first step, it is the largest.
 LEAST_CENTRING, LARGEST_CENTRING = 0.05, 0.8
 
 #: First softness of the constraints, in units of that with which Newton's method starts; it falls
@@ -33,17 +33,17 @@ FIRST_SOFTNESS = 100.0
 
 
 class SecondOrderCones:
-    """The second-order cones y_0 >= |(y_1, y_2)| with y = H x + h that contain multipliers x.
+    """The m cones y_0 >= |(y_1, y_2)|, with y = H x + h (m, 3), that contain the multipliers x.
 
-    They are the half-lines of pressures, and a cone or a disc for each linear function of the
-    pressure that bounds friction, such as c + F p and c + l. A bound that is a constant makes a
-    disc, in whose y_0 no pressure is; without a bound, or if it is infinite, there is no cone.
+    They are the half-lines of pressures, with y_1 = y_2 = 0, and a cone for each linear function of
+    the pressure that bounds friction, such as c + F p and c + l. If the bound is a constant, so is
+    y_0, and the cone is called a disc. Without a bound, or if it is infinite, there is no cone.
 
-    Each component of y depends on one multiplier or none: H has a number for each, `_scale` (m, 3),
-    in the column `_position` (m, 3), which is -1 for none.
+    Each component of y depends on one multiplier or none: H has the number `_scale` (m, 3) in the
+    column `_position` (m, 3); -1: none.
 
     Attributes:
-        free: (size,) 1; 0 for multipliers that a bound of zero forbids.
+        movable: (size,) 1; 0 for multipliers that are zero, since their slip bound is.
         constant: (m, 3) h.
     """
 
@@ -54,9 +54,9 @@ class SecondOrderCones:
         order = np.argsort(admissible.node, kind="stable")
         node = admissible.node[order]
         tangents = np.full((len(admissible.radius), 2), -1)
-        place = np.arange(len(node)) - np.searchsorted(node, node)  # 0 or 1 in the node's disc
-        tangents[node, place] = admissible.tangential[order]
-        self.free = 1.0 - admissible.at_tangents((~admissible.movable).astype(float))
+        axis = np.arange(len(node)) - np.searchsorted(node, node)  # 0 or 1 in the node's disc
+        tangents[node, axis] = admissible.tangential[order]
+        self.movable = 1.0 - admissible.at_tangents((~admissible.movable).astype(float))
         # half-lines of pressures; y is in units of energy^(1/2), equally for the three components
         none = np.full((len(admissible.normal), 2), -1)
         positions: list[Indices] = [np.column_stack([admissible.normal, none])]
@@ -99,19 +99,19 @@ class SecondOrderCones:
 
 
 def determinants(y: Array) -> Array:
-    """Return y_0^2 - |(y_1, y_2)|^2 (m,) for y (m, 3) in the cones: positive despite rounding."""
+    """Return det y = y_0^2 - |(y_1, y_2)|^2 (m,) for y (m, 3) in cones: > 0 despite rounding."""
     length = np.linalg.norm(y[:, 1:], axis=1)
-    inside = np.maximum(y[:, 0] - length, np.finfo(float).eps * y[:, 0])
-    return np.asarray(inside * (y[:, 0] + length))
+    difference = np.maximum(y[:, 0] - length, np.finfo(float).eps * y[:, 0])
+    return np.asarray(difference * (y[:, 0] + length))
 
 
 def reflected(y: Array) -> Array:
-    """Return J y = (y_0, -y_1, -y_2), (m, 3)."""
+    """Return the reflection J y = (y_0, -y_1, -y_2), (m, 3)."""
     return np.asarray(y * np.array([1.0, -1.0, -1.0]))
 
 
 def inverse_limit(y: Array, step: Array) -> Array:
-    """Return 1 / t (m,) with the largest t for which y + t step is in its cone; 0 if any t is."""
+    """Return 1 / t (m,) for the largest t with y + t step in its cone; 0 if there is no largest."""
     # the hyperbolic rotation of y to (root, 0, 0) keeps the cone, and takes the step to
     # (along, across): the end is in the cone if root + t along >= t |across|
     root = np.sqrt(determinants(y))
@@ -124,11 +124,11 @@ def inverse_limit(y: Array, step: Array) -> Array:
 class Scaling:
     """The symmetric maps W of Nesterov and Todd (1997) with W z = W^-1 y, for y and z in cones.
 
-    W is a size s times the hyperbolic rotation that takes (1, 0, 0) to a vector w, the axis, with
-    determinant 1: W^2 = s^2 (2 w w' - J) takes z to y, where J reflects y_1 and y_2.
+    W is a size s times the hyperbolic rotation that takes (1, 0, 0) to the axis w, with det w = 1
+    (`determinants`): W^2 = s^2 (2 w w' - J) takes z to y, where J reflects y_1 and y_2.
 
     Attributes:
-        determinant: (m,) determinant of W z.
+        determinant: (m,) det (W z).
     """
 
     def __init__(self, y: Array, z: Array) -> None:
@@ -168,28 +168,28 @@ def interior_point(
 ) -> tuple[Array, Array]:
     """Return multipliers x (size,) and c (k,) near a solution with the model M of A. Collective.
 
-    With cones y = H x + h and z in the same cones, the method solves
+    With y = H x + h and z in the same cones (`SecondOrderCones` of `admissible`), it solves
 
         M x + r0 - G c - H'(z - o) = 0,   G'x + S c = e,   y'z = 0,
 
-    where r0 (size,) is the gradient at zero. For Tresca's law o is zero, and these are the
-    conditions of a minimum: (y_1, y_2) are tractions and (z_1, z_2) slips, but for signs and units.
-    For cones that open with the pressure, they would be those of a friction that opens the gap by F
+    where r0 (size,) is the gradient at zero. For Tresca's law H'o is zero, and these are conditions
+    of a minimum: (y_1, y_2) are tractions and (z_1, z_2) slips, but for signs and units. For cones
+    that open with the pressure, a minimum without o would have a friction that opens the gap by F
     |slip|. Hence o = (|(z_1, z_2)|, 0, 0) takes this opening back (de Saxcé and Feng 1998, The
     bipotential method); the equations are then those of Coulomb's law. With a given o, the problem
     is convex (Acary, Cadoux, Lemaréchal and Malick 2011); here o changes with z in each step.
 
     A step solves the linearised equations with W dz + W^-1 dy = s m v^-1 - v in each cone, where W
-    is Nesterov and Todd's scaling, v = W z, s the centring, and m the mean of y'z; dy = H dx makes
-    this a system for dx and dc with W^-2 in M + H'W^-2 H. Its length is limited by the cones.
-    Constraints are softened as in `SemismoothNewton.step`, by a multiple of `softness` that falls
-    towards zero. It starts at the solution with W = I and z = -y, both moved into the cones. The
-    result may be far from a solution: callers compute its residual.
+    is Nesterov and Todd's scaling, v = W z, s the centring, and m the mean of y'z. Inserting dy =
+    H dx and E, the derivative of z - o, makes this a system for dx and dc with M + H'E W^-2 H. The
+    step ends inside of the cones. Constraints are softened as in `SemismoothNewton.step`, by a
+    multiple of `softness` that falls towards zero. The start is the solution with W = I and z = -y,
+    both moved into the cones. The result may be far from a solution: callers compute its residual.
     """
     reductions, constraints = problem.reductions, problem.constraints
     G = constraints.columns
     cone_map = SecondOrderCones(admissible, model.diagonal)
-    movable = diags_array(cone_map.free, format="csr")
+    movable = diags_array(cone_map.movable, format="csr")
 
     def largest(values: Array) -> float:
         return reductions.largest(float(values.max(initial=0.0)))
@@ -218,10 +218,10 @@ def interior_point(
         scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
         v = scaling.apply(z)
         target = centring * complementarity / scaling.determinant[:, None] * reflected(v) - v
-        # E, the derivative of z - o by z; in discs and half-lines, H' ignores its first row
+        # E, the derivative of z - o by z: H' ignores its first row in discs, o is 0 in half-lines
         E = identity.copy()
         E[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
-        # insert dz = W^-1 (target - W^-1 dy), where dy = H dx + lacking, in
+        # insert dz = W^-1 (target - W^-1 dy), where dy = H dx + lacking, into
         # M dx - G dc - H'E dz = H'E z - (M x + r0 - G c), since z - o = E z
         lacking = cone_map.linear(x) + h - y
         change = scaling.invert(target - scaling.invert(lacking))

@@ -32,9 +32,9 @@ from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, Whol
 from dolfinx_tresca.solvers.semismooth_newton import NewtonPoint, solve_model
 from dolfinx_tresca.status import ContactStatus
 
-#: The rest of A is computed, unless it is too large (`ContactCompliance.complete_products`), if
-#: Newton's method does not solve the model in this number of consecutive iterations, or if the
-#: residual is not halved in `SHORT_PATIENCE` iterations.
+#: A is computed as a matrix, unless it is too large (`ContactCompliance.complete_products`), if
+#: Newton's method does not solve the model in so many consecutive iterations, if the residual is
+#: not halved in `SHORT_PATIENCE` iterations, or before `ModelNewton` ends without a solution.
 MISSES = 2
 
 
@@ -60,7 +60,7 @@ def solve(
 
 
 class Iterate:
-    """A point in the friction cones with its gradient, which moves by steps with their products.
+    """The present point of `ModelNewton` with its gradient; each step's product improves the model.
 
     With a direct solver for K, products are exact to rounding. With an iterative one, the error of
     the gradient in the norm sqrt(e'A^-1 e) is limited to a part of the energy norm of the steps; a
@@ -69,10 +69,10 @@ class Iterate:
     Attributes:
         x: (size,) multipliers of the point.
         c: (k,) multipliers of the constraints.
-        r: (size,) A x - b, the gradient at the point without constraints.
+        r: (size,) A x - b, the gradient at the point, without the term -G c of constraints.
         error: estimated error of r in the norm sqrt(e'A^-1 e); 0 for exact products.
-        finest: least error that is requested of a gradient.
-        learned: whether the last step has changed the model of A, or accuracies; True at first.
+        finest: lower bound on the errors that are requested of gradients.
+        learned: whether the newest step has changed the model of A, or accuracies; True at first.
     """
 
     x: Array
@@ -81,7 +81,7 @@ class Iterate:
     error: float
 
     def __init__(self, problem: DualProblem) -> None:
-        """Begin at zero, where no product is needed."""
+        """Begin at zero, where no product is needed. Not collective."""
         self._problem, self.finest, self.learned = problem, 0.0, True
         self._is_exact = problem.compliance.exact
         # the requested error of a gradient is the part `_part` of the last step's `_length`; the
@@ -97,19 +97,19 @@ class Iterate:
 
     @property
     def store(self) -> KnownProducts:
-        """The known products with A, to which new products are added. Collective."""
+        """The known products with A, to which each step adds its product. Collective."""
         return self._problem.compliance.known_products()
 
     @property
     def point(self) -> Point:
-        """The point with its gradient, which includes the terms of the constraints."""
+        """The point with the gradient A x - b - G c, as the natural residual needs it."""
         return Point(self.x, self.c, self.r - self._problem.constraints.columns @ self.c)
 
     def move(self, direction: Array, c: Array) -> None:
         """Take a step, or the part of it with the least q (`_part_to_take`). Collective.
 
-        The product of A and the `direction` (size,), the whole step, improves the model of A. The
-        multipliers of the constraints become c.
+        The product of A with the whole step, the `direction` (size,), improves the model of A. The
+        multipliers of the constraints become c (k,).
         """
         self.c = c
         if self._is_exact:
@@ -129,12 +129,12 @@ class Iterate:
         self.error = (1.0 - taken) * self.error + taken * error
 
     def _new_product(self, direction: Array) -> Array:
-        """Return A times a step (size,), exact to rounding. Collective.
+        """Return A times a step (size,), exact to rounding; set `learned`. Collective.
 
-        Known products give A times a part of the step; that of the rest is computed, and kept.
+        Known products give A times a part of the step; A times what is left is computed, and kept.
         """
         before, (new, product) = len(self.store), self.store.split(direction)
-        # the product of the whole step, less the known part, would have rounding errors that grow
+        # (the product with the whole step, less the known part, has rounding errors that grow)
         if float(self._problem.inner(new, new)) > 0.0:
             added = self._problem.compliance.apply(new)
             self.store.add(new, added)
@@ -143,9 +143,9 @@ class Iterate:
         return product
 
     def _part_to_take(self, direction: Array, product: Array) -> float:
-        """Return the part t <= 1 of a step d with the least q, t d'r + t^2 / 2 d'A d. Collective.
+        """Return the t <= 1 for which t d'r + t^2 / 2 d'A d, the change of q, is least. Collective.
 
-        The result is 1 if q need not decrease (`ModelNewton`), or if its change is rounding.
+        A d is the `product`; t is 1 if q need not fall (`ModelNewton`) or falls by rounding only.
         """
         problem = self._problem
         if not problem.admissible.has_given_bounds or len(problem.constraints) > 0:
@@ -160,7 +160,7 @@ class Iterate:
     def set_point(self, x: Array) -> None:
         """Set the point to initial multipliers x (size,), and compute the gradient. Collective.
 
-        Known products may determine it, if another solve has ended at these multipliers.
+        No product is needed if known ones determine it, as where a former solve has ended at x.
         """
         problem, b = self._problem, self._problem.b
         product, error = self.store.product(x)
@@ -177,14 +177,14 @@ class Iterate:
         return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
 
     def _gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
-        """Return A x - b and its error; record the error if the solver cannot reduce it."""
+        """Return A x - b and its error; remember an error that does not get less. Collective."""
         r, error = self._problem.gradient(x, accuracy)
         if error > SLACK * accuracy:
             self._least = max(self._least, error)
         return r, error
 
     def increase_accuracy(self) -> None:
-        """Make the gradient and products, or the whole A's model, more accurate. Collective."""
+        """Make gradient and products, or the model of a whole A, more accurate. Collective."""
         store = self.store
         if isinstance(store, WholeModel):
             store.reduce_shift()
@@ -205,7 +205,7 @@ class ModelNewton:
 
     Each iteration solves the problem with the model M of A, without products (`solve_model`), and
     takes the step d to its solution. The product A d is computed, and M is updated with (d, A d).
-    The model at the start may be solved before the first iteration.
+    With constraints, `choose_start` has already solved the model of the first iteration.
 
     For Tresca's law and bodies held by supports, the part of the step with the least q is taken, so
     that q decreases in each step. Otherwise no quantity is guaranteed to decrease, and the whole
@@ -216,8 +216,8 @@ class ModelNewton:
         residual: the natural residual of this solve.
         history: the residuals of all iterates, and the criteria of convergence.
         misses: number of consecutive iterations in which Newton's method did not solve the model.
-        deficit: deficit of friction with which the iteration ends; None: friction is enough.
-        completed_at: number of iterates when the rest of A was computed; 0 before.
+        deficit: motion that friction was found too weak to stop, without a solution; else None.
+        completed_at: number of iterates when A was completed as a matrix; 0 before.
     """
 
     deficit: FrictionDeficit | None = None
@@ -244,9 +244,9 @@ class ModelNewton:
         return dataclasses.replace(solution, deficit=self.deficit)
 
     def compute_first_products(self) -> None:
-        """Compute a product, from which sigma_max of A is estimated, if none is known. Collective.
+        """Drop inaccurate products; if none is known, compute one, to estimate sigma_max of A.
 
-        It is the product of b with the near field, if there is one, and otherwise with A.
+        It is the product of b with the near field, if there is one, else with A. Collective.
         """
         store, b = self.problem.compliance.known_products(), self.problem.b
         if isinstance(store, ProductStore):
@@ -259,10 +259,10 @@ class ModelNewton:
     def choose_start(self, start: Array) -> NewtonPoint | None:
         """Set `iterate`, `residual`, `history`; return what `find_constraint_multipliers` returns.
 
-        The iterate is the start, or zero if the residual is larger at the start. A load step with
-        bounds that depend on the pressure always begins at the start: of several fixed points, a
-        process continues with the nearest one. For example, friction keeps a wedge in place after
-        the force that pushed it in is removed, but zero tractions obey the law, too. Collective.
+        The iterate is the start, moved into equilibrium, or zero if the residual is smaller there.
+        A load step with bounds that depend on the pressure never begins at zero: of several fixed
+        points, a process continues with the nearest. For example, friction keeps a wedge in place
+        after the force that pushed it in is removed; zero tractions obey the law, too. Collective.
         """
         problem, constraints = self.problem, self.problem.constraints
         # the scale of residuals, at zero; b is computed again if its error might hide a pressure
@@ -273,8 +273,8 @@ class ModelNewton:
             iterate.return_to_zero()
             self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
-        # the start, moved to the nearest multipliers that are feasible and balance the loads, less
-        # the forces S c that soft springs have at the start
+        # the start moves to the nearest feasible multipliers that balance the loads e; soft springs
+        # keep the forces S c that they have at the start
         start, carried = problem.admissible.project(start), constraints
         if constraints.softness.count_nonzero() > 0:
             iterate.set_point(start)
@@ -290,7 +290,7 @@ class ModelNewton:
         # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
-                residual.count(iterate.r + problem.b)  # the scale is at least |A x|
+                residual.raise_scale(iterate.r + problem.b)  # the scale is at least |A x|
             else:
                 iterate.return_to_zero()
                 residual.set_constraint_multipliers(iterate.c)
@@ -300,9 +300,9 @@ class ModelNewton:
     def find_constraint_multipliers(self) -> NewtonPoint | None:
         """Set the multipliers c of the constraints at the present point from a solve of the model.
 
-        They enter the gradient A x - b - G c at the point, and at zero, where it is the scale of
-        residuals. For floating bodies, c are rigid motions. The result is the solution of the
-        model; None if there are no constraints, or the loads are zero. Collective.
+        They enter the gradient A x - b - G c at the point, and that at zero, from which the scale
+        of residuals follows. For floating bodies, c are rigid motions. The result is the solution
+        of the model; None without constraints, or at a point zero that is a solution. Collective.
         """
         iterate, constraints = self.iterate, self.problem.constraints
         is_at_rest = self.residual.zero_is_solution and norm(self.problem, iterate.x) == 0.0
@@ -315,7 +315,7 @@ class ModelNewton:
         return target
 
     def constraint_guess(self) -> Array:
-        """Return the c (k,) with which a gradient projection step fits the constraints. Collective.
+        """Return c (k,) such that a gradient projection step satisfies the constraints. Collective.
 
         The step leads to P(x - rho (r - G c)) = P(y + G z), with y = x - rho r and z = rho c.
         """
@@ -324,15 +324,15 @@ class ModelNewton:
         return np.asarray(balance(problem.constraints, section, y, 1.0 / rho).shift / rho)
 
     def proposed_rho(self) -> float:
-        """Return the step length rho from the estimate of sigma_max, or from 1 without loads."""
+        """Return rho of the natural residual from the estimate of sigma_max, or 1 for sigma_max."""
         return self.options.step_factor / (self.iterate.store.largest_eigenvalue_estimate or 1.0)
 
     def check_progress(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.
 
-        Before an iteration ends without a solution, or if it is slow, the rest of A is computed.
-        Where slip bounds depend on the pressure, `deficit` then tells whether friction is too weak
-        at the pressures of `target`, the newest solution of the model. Collective.
+        Before an iteration ends without a solution, or if it is slow, A is completed as a matrix.
+        If it ends without one and slip bounds depend on the pressure, `deficit` is set if friction
+        is too weak at the pressures of `target`, the newest solution of the model. Collective.
         """
         iterate, history, residual = self.iterate, self.history, self.residual
         if not self.problem.compliance.exact:
@@ -347,22 +347,22 @@ class ModelNewton:
         stalls = (is_same and not iterate.learned) or history.is_idle(
             PATIENCE, PROGRESS, self.completed_at
         )
-        is_limited = norms[-1] <= EXHAUSTED * max(residual.scale, residual.terms)
-        is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not is_limited
-        misses = self.misses >= MISSES
-        if (stalls or is_slow or misses) and self.complete_products():
+        may_be_rounding = norms[-1] <= EXHAUSTED * max(residual.scale, residual.terms)
+        is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not may_be_rounding
+        model_fails = self.misses >= MISSES
+        if (stalls or is_slow or model_fails) and self.complete_products():
             return None
-        if not stalls and not (misses and isinstance(self.iterate.store, WholeModel)):
+        if not stalls and not (model_fails and isinstance(self.iterate.store, WholeModel)):
             return None
         # without a solution: find the cause, where bounds depend on the pressure
         if not self.problem.admissible.has_given_bounds:
             self.deficit = friction_deficit(self.problem, target)
-            if self.deficit is not None or not is_limited:
+            if self.deficit is not None or not may_be_rounding:
                 return ContactStatus.NO_FIXED_POINT
         return ContactStatus.STAGNATED
 
     def complete_products(self) -> bool:
-        """Compute A unless it is known or too large; return whether it is new. Collective."""
+        """Compute A unless it is known or too large; return whether it was computed. Collective."""
         is_known = isinstance(self.iterate.store, WholeModel)
         if is_known or not self.problem.compliance.complete_products():
             return False
@@ -371,7 +371,7 @@ class ModelNewton:
         return True
 
     def target(self) -> NewtonPoint:
-        """Return a solution with the model in place of A, and count `misses`. Collective."""
+        """Return an approximate solution with the model for A, and count `misses`. Collective."""
         tolerance = self.options.r_tol * self.residual.norm_at(self.iterate.point)
         target = solve_model(self.problem, self.iterate.point, self.residual, tolerance)
         self.misses = 0 if target.is_solved else self.misses + 1
@@ -379,7 +379,7 @@ class ModelNewton:
 
 
 def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
-    """Return the motion along which friction is too weak for the constraints. Collective.
+    """Return the rigid motion that friction is too weak to stop, for an error message. Collective.
 
     The slip bounds g are those of the point. The result is None if no body floats, or if some
     multipliers with these bounds satisfy the constraints. Otherwise the shift z of `balance` grows

@@ -1,7 +1,7 @@
 """The algorithms of the paper, for Tresca's law: SSN, MSSN, IMSSN and GIMSSN.
 
-They are here for comparisons with the default method (docs/theory/algorithms.md). Each is a
-function of a `Run`, which has not taken a step yet, and all are collective.
+They are here for comparisons with the default method (docs/theory/algorithms.md). Each algorithm is
+a function of a new `Run`, the state that its steps change, and is collective.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ MOST_PRODUCTS = 1000
 
 
 def ssn(run: Run) -> DualSolution:
-    """Solve lambda = P(lambda - rho r(lambda)) by Newton steps with the full slanting function.
+    """Solve lambda = P(lambda - rho r(lambda)) by Newton steps with the whole derivative of P.
 
-    The full derivative of the projection onto the circle makes the systems non-symmetric. Table
-    38.1 of the paper compares its methods with this variant. Convergence is not guaranteed.
+    The derivative of the projection onto circles makes the systems nonsymmetric. Table 38.1 of the
+    paper compares its methods with this variant. Convergence is not guaranteed.
     """
     problem = run.problem
 
     def step(tolerance: float) -> tuple[Array, Array]:
-        # Newton's equation (I - P' (I - rho A)) change = P(y) - x, y = x - rho r
+        # Newton's equation (I - P' (I - rho A)) change = P(y) - x for y = x - rho r, the target
         rho, y = run.history.residual.rho, run.target
         derivative = run.feasible_set.projection_derivative(y)
         change = _bicgstab(
@@ -65,7 +65,7 @@ def gimssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM GIMSSN (section 38.4).
 
     Each iteration takes a gradient projection step, which alone gives the R-linear rate of
-    Theorem 38.1, then CG steps on the free multipliers until one leaves Lambda. The method
+    Theorem 38.1, then CG steps of pressed and sticking nodes until one leaves Lambda. The method
     converges from any start, but slowly if many nodes slip: CG does not change directions of slip.
     """
     problem, feasible_set = run.problem, run.feasible_set
@@ -92,7 +92,7 @@ def gimssn(run: Run) -> DualSolution:
                 <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
             )
 
-        # CG steps of `active` multipliers, while all others stay
+        # CG steps of `active` multipliers (`Face`), while all others stay
         active, r = feasible_set.face(run.target).active, run.r + product
         change, image = conjugate_gradients(problem, active, r, tolerance, feasible=feasible)
         return feasible_set.project(projected + change), r + image
@@ -108,7 +108,7 @@ class Run:
     """The state of a solve by an algorithm of the paper.
 
     Attributes:
-        history: the record, with rho from an estimate of sigma_max.
+        history: the criteria and values of all iterates, with rho from an estimate of sigma_max.
         x: (size,) multipliers, maybe outside of Lambda.
         r: (size,) their gradient A x - b.
     """
@@ -129,7 +129,7 @@ class Run:
 
     @property
     def target(self) -> Array:
-        """The end of a gradient step, x - rho r, (size,)."""
+        """The end x - rho r (size,) of a gradient step, whose face (38.12), (38.13) steps use."""
         return self.x - self.history.residual.rho * self.r
 
     def iterate(
@@ -137,9 +137,9 @@ class Run:
     ) -> DualSolution:
         """Take steps until a status ends the iteration, and return the solution. Collective.
 
-        The convergence of the projection of x onto Lambda is checked, which costs a product if x is
-        outside of Lambda. The function `step` returns the next multipliers and their gradient,
-        (size,) each, given the result of `precision`, the tolerance of its inner iteration.
+        Convergence is checked at the projection of x onto Lambda, which costs a product if x is
+        outside of Lambda. The function `step` takes the tolerance of its inner iteration, which
+        `precision` returns, and returns the next multipliers and their gradient, (size,) each.
         """
         problem, history = self.problem, self.history
         while True:
@@ -156,7 +156,7 @@ class Run:
             self.x, self.r = step(precision())
 
     def symmetrized_step(self, tolerance: float) -> tuple[Array, Array]:
-        """Return the multipliers (size,) after Steps 2 and 3 of MSSN, and their gradient (size,).
+        """Return multipliers (size,) after Steps 2 and 3 of MSSN or IMSSN, and their gradient.
 
         Open multipliers become zero, and slipping ones go to their circles in the directions of
         the gradient step; CG then minimises q over the multipliers of pressed and sticking nodes.
@@ -217,23 +217,23 @@ def adaptive_precision(history: History, options: SolverOptions) -> Callable[[],
 
 def conjugate_gradients(
     problem: DualProblem,
-    free: Mask,
+    active: Mask,
     gradient: Array,
     tolerance: float,
     *,
     feasible: Callable[[Array], bool] = lambda step: True,
 ) -> tuple[Array, Array]:
-    """Minimise q over steps s of the free multipliers, (38.14). Collective.
+    """Minimise q over changes s of the active multipliers, (38.14). Collective.
 
-    The `gradient` r is that at s = 0. The iteration ends when the norm of r + A s in the free rows
-    is at most the tolerance, before the first step s for which `feasible` is False, equally on all
-    ranks (CGM_feas), or after `MOST_PRODUCTS`; the result does not say which.
+    The `gradient` r is that at s = 0. The iteration ends when the norm of r + A s in active rows is
+    at most the tolerance, before the first s for which `feasible` is False, equally on all ranks
+    (CGM_feas), or after `MOST_PRODUCTS`; the result does not say which.
 
     Returns:
-        s (size,), zero where multipliers are not free, and A s (size,) in all rows.
+        s (size,), zero where multipliers are not active, and A s (size,) in all rows.
     """
     step, product, direction = (np.zeros_like(gradient) for _ in range(3))
-    residual, before = np.where(free, -gradient, 0.0), np.inf
+    residual, before = np.where(active, -gradient, 0.0), np.inf
     for _ in range(MOST_PRODUCTS):
         squared = float(problem.inner(residual, residual))
         if np.sqrt(squared) <= tolerance:
@@ -246,14 +246,14 @@ def conjugate_gradients(
             break
         step += squared / curvature * direction
         product += squared / curvature * image
-        residual -= squared / curvature * np.where(free, image, 0.0)
+        residual -= squared / curvature * np.where(active, image, 0.0)
     return step, product
 
 
 def _bicgstab(
     problem: DualProblem, image: Callable[[Array], Array], right: Array, tolerance: float
 ) -> Array:
-    """Return x with |right - image(x)| <= tolerance, or the best x of `MOST_PRODUCTS`.
+    """Return x with |right - image(x)| <= tolerance, or the best x after `MOST_PRODUCTS`.
 
     The method is BiCGStab (van der Vorst 1992) for the linear function `image`. Collective.
     """

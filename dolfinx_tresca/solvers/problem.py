@@ -22,20 +22,20 @@ class Compliance(Protocol):
     """The symmetric positive semidefinite matrix A, known by its products.
 
     Attributes:
-        exact: whether products are exact to rounding, for any requested accuracy.
+        exact: whether products are exact to rounding, whatever accuracy is requested.
     """
 
     exact: bool
 
     @property
     def products(self) -> int:
-        """Number of products with A."""
+        """Number of products with A so far, with solves for columns of A. Not collective."""
 
     def apply(self, x: Array) -> Array:
         """Return A x (size,). Collective."""
 
     def known_products(self) -> KnownProducts:
-        """Return what is known of A; the first call may compute some. Collective."""
+        """Return the known products; the first call computes A if that is cheap. Collective."""
 
     def complete_products(self) -> bool:
         """Compute A as a matrix, if it is not too large; return whether it is known. Collective."""
@@ -47,15 +47,15 @@ class DualProblem(InnerProduct, Protocol):
     If slip bounds depend on the pressure, each x has its own Lambda (`section_at`); a solution is
     an x that minimises q over its own Lambda.
 
-    In all methods, and in all functions of this room, x (size,) are multipliers, c (k,) are those
-    of the constraints, and r (size,) is the gradient A x - b at x, or of a `Point` A x - b - G c.
+    In this room, x (size,) are multipliers, c (k,) are the multipliers of the constraints, and r
+    (size,) is the gradient: A x - b - G c in a `Point`, A x - b in `gradient` and `energy_norm`.
     The error e of a gradient is given in the norm sqrt(e'A^-1 e), which is the energy norm of the
     error of the displacement.
 
     Attributes:
         b: (size,) the linear term.
         b_error: error of b, and of the gradient at zero multipliers.
-        is_load_step: whether the solution continues that of the last load step.
+        is_load_step: whether a load step was accepted before, which the solution continues.
         constraints: the equations that multipliers satisfy in addition to Lambda.
     """
 
@@ -66,25 +66,25 @@ class DualProblem(InnerProduct, Protocol):
 
     @property
     def compliance(self) -> Compliance:
-        """A."""
+        """The matrix A of (38.4)."""
 
     @property
     def b_terms(self) -> Array:
-        """The sums (size,) of the absolute values of the terms of b, which may cancel."""
+        """The sums (size,) of absolute values of the terms of b, to which rounding is relative."""
 
     def refine_b(self) -> None:
         """Compute b to the highest accuracy of the solver for K. Collective."""
 
     @property
     def reductions(self) -> Reductions:
-        """Sums over all ranks, and values on which all ranks agree."""
+        """Sums over all ranks, and values that are equal on all ranks."""
 
     @property
     def admissible(self) -> FeasibleSet:
         """Lambda (Tresca), or friction cones (Coulomb), whose section at a pressure is a Lambda."""
 
     def section_at(self, x: Array, r: Array) -> FeasibleSet:
-        """Return Lambda with the slip bounds at the pressures and slips of a point."""
+        """Return Lambda with the slip bounds at the pressures of x and the slips of r."""
 
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error. Collective.
@@ -93,19 +93,19 @@ class DualProblem(InnerProduct, Protocol):
         """
 
     def energy_norm(self, x: Array, r: Array, error: float = 0.0) -> float:
-        """Return |u|_K [energy^(1/2)] for r = A x - b; 0 if less than its error. Collective."""
+        """Return |u|_K of u = K^-1 (f - B'x); 0 if an `error` of u may hide it. Collective."""
 
     def energy_resolution(self) -> float:
         """Return the energy norm below which displacements are rounding errors. Collective."""
 
     def energy_bound(self, x: Array, r: Array, error: float) -> float:
-        """Return a bound of |u - u*|_K [energy^(1/2)] for the bounds `section_at`. Collective."""
+        """Return a bound of |u - u*|_K; u* is the solution over `section_at(x, r)`. Collective."""
 
     def local_error(self, x: Array, r: Array) -> float:
         """Return the largest distance of a node's traction from its local minimiser. Collective.
 
-        A node's local minimiser, in the section at x, takes its compliance for fixed neighbours in
-        place of its block of A. The distance is relative to the largest traction of all nodes.
+        The local minimiser minimises q over the node's traction in the section at x, with fixed
+        neighbours. The distance is relative to the largest traction of all nodes.
         """
 
     def discretisation_error(self, x: Array, c: Array) -> float:
@@ -114,7 +114,7 @@ class DualProblem(InnerProduct, Protocol):
 
 @dataclass(frozen=True)
 class Point:
-    """Multipliers with their gradient.
+    """Multipliers x (size,) and c (k,), with the gradient in x.
 
     Attributes:
         r: (size,) gradient A x - b - G c, or an approximation of it.
@@ -151,7 +151,7 @@ class DualSolution:
         gradient: (size,) r = A lambda - b - G c at the multipliers.
         residuals: relative natural residual at the start and after each iteration.
         q: q(lambda) at the start and after each iteration, with the energy of soft constraints.
-        wanted: requested relative error in the energy norm; inf if residuals were the criterion.
+        wanted: requested relative error in the energy norm; inf: none (residuals alone decided).
         displacement_tolerance: tolerable error of the displacement in the energy norm, not
             relative; None: determined by the options of the solver for K.
         deficit: motion along which friction is too weak for the constraints, if known.

@@ -1,4 +1,4 @@
-"""Known products with A, or A as a matrix, and the models of A that follow. Numpy only."""
+"""Known products with A, or A as a matrix, and the models of A that follow. Numpy and scipy."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS
 from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 
-#: Least softness S of the equality constraints G'lambda + S c = e, times the compliance of the
-#: multipliers. With it, linear systems have a solution even if the constraints have none.
+#: Softness that is added to S of the equality constraints G'lambda + S c = e, times the compliance
+#: of the multipliers: linear systems then have a solution even if the constraints have none.
 LEAST_SOFTNESS = 1e-10
 
 #: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
@@ -29,13 +29,13 @@ STIFFEST = 1e8
 class NodalMaps:
     """The maps T and R in the equations T M s + R s - T G c = T a and G's + S c = e.
 
-    Here M is the model of A, G and S belong to equality constraints, and a and e are given. These
-    equations determine Newton steps s on a face, and steps towards an adjoint solution. The maps
-    are sparse matrices (size, size), which couple only multipliers of the same node.
+    Here M is the model of A, G and S belong to equality constraints, and a and e are given. The
+    equations, which `solve_on_face` of a model solves, give Newton steps s on a face, and steps to
+    derivatives of solutions. All maps are sparse, and couple only multipliers of the same node.
 
     Attributes:
-        test: T, applied to both sides of the equation.
-        added: R, such as the curvature of slipping nodes' circles, and D at multipliers that stay.
+        test: T, applied to both sides of the first equation.
+        added: R: curvature at slipping nodes, and D at multipliers that do not move.
         inverse: (T D + R)^-1 T with the diagonal D of the model.
     """
 
@@ -49,19 +49,19 @@ class NodalMaps:
     ) -> NodalMaps:
         """Return the maps for Newton steps s on a face. Not collective.
 
-        With the projector P onto the face, the diagonal C of curvatures, and the changes Q and H of
+        With the projector P onto the face, the diagonal C of curvatures, and the changes Q and L of
         slip bounds with the pressure and with the slip, s solves
 
-            P (M s + C s - G c) = P a,  s - (I + Q) P s = H (a - M s + G c).
+            P (M s + C s - G c) = P a,  s - (I + Q) P s = L (a - M s + G c).
 
         Let n be the unit vector in the normal row of a slipping node, t its unit vector `radial`,
-        and g' and h the derivatives of its bound with respect to pressure and slip. Then Q is the
-        sum of g' t n', and H that of h t t', over all nodes: multipliers follow their bounds. The
-        first equation plus D times the second has T = P + D H and R = P C + D (I - P - Q P).
+        and g' and h the derivatives of its bound at x (size,) by pressure and slip. Then Q is the
+        sum of g' t n', and L that of h t t', over all nodes: multipliers follow their bounds. The
+        first equation plus D times the second has T = P + D L and R = P C + D (I - P - Q P).
 
-        The diagonal (size,) is D; `inverse` is exact if D is the same for all degrees of freedom of
-        a friction disc. The stiffness (size,) is C >= 0, the same for all degrees of freedom of a
-        disc. If the set is Lambda, Q and H are zero.
+        The `diagonal` (size,) is D; `inverse` is exact if D is the same for all degrees of freedom
+        of a friction disc. The `stiffness` (size,) is C >= 0, the same for all degrees of freedom
+        of a disc. If bounds are given, `cones` are Lambda, and Q and L are zero.
         """
         stiffness = np.minimum(stiffness, STIFFEST * diagonal)
         weight, radial, free = np.reciprocal(diagonal + stiffness), face.radial, face.free
@@ -84,7 +84,7 @@ class NodalMaps:
 
 
 def solve_or_fit(matrix: Array, right: Array) -> Array:
-    """Return the solution; for a singular matrix, the least-squares solution of least norm."""
+    """Return matrix^-1 right; for a singular matrix, the least-squares solution of least norm."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -98,7 +98,7 @@ class BlockBFGSModel:
     all combinations of these vectors (M W = Y); on other vectors, it has the magnitude of D, an
     approximation of diag(A). M is the block BFGS update of D with W and Y; the term Y Y' alone is a
     Nystroem approximation of A. Applying or inverting M needs no product with A. D may be replaced
-    by another model, such as the model of an earlier A; M is then the update of that model.
+    by another model, such as a model of the near field; M is then the update of that model.
 
     Attributes:
         diagonal: (size,) D, the same for all degrees of freedom of a friction disc.
@@ -114,8 +114,8 @@ class BlockBFGSModel:
     ) -> None:
         """Update D with known products. Collective.
 
-        The columns of W and Y (size, k) satisfy W'Y = I. A model given as `base` takes the place of
-        D, and is not changed; its diagonal replaces `diagonal`.
+        W and Y (size, pairs) satisfy W'Y = I. D is the `diagonal` (size,), or a model given as
+        `base`, which is not changed; its diagonal then replaces `diagonal`.
         """
         self._inner, self._agreed = reductions.inner, reductions.from_first_rank
         self.diagonal: Array = diagonal if base is None else base.diagonal
@@ -139,7 +139,7 @@ class BlockBFGSModel:
 
     @property
     def model_diagonal(self) -> Array:
-        """diag(M), (size,)."""
+        """diag(M) (size,), from which `SemismoothNewton` takes its step lengths."""
         return np.asarray(self.diagonal + ((self._U @ self._E) * self._U).sum(axis=1))
 
     def apply(self, x: Array) -> Array:
@@ -157,7 +157,7 @@ class BlockBFGSModel:
 
             (Z'J Z + (E^-1, 0; 0, S)) y = Z'J a - (0, e)     (Woodbury's formula).
 
-        In the code, G and e are multiplied by a unit, and S by its square. `LEAST_SOFTNESS` is
+        In the code, G and e are multiplied by `_unit`, and S by its square. `LEAST_SOFTNESS` is
         added, so that the system has a solution even if the second equation has none.
         """
         unit = self._unit
@@ -165,12 +165,12 @@ class BlockBFGSModel:
         scaled, without_pairs = maps.inverse @ Z, maps.inverse @ right
         capacitance = self._inner(Z, scaled)
         k = len(missing)
-        rank = len(capacitance) - k
-        capacitance[:rank, :rank] += self._E_inverse
-        capacitance[rank:, rank:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness.toarray()
-        wanted = self._inner(Z, without_pairs) - np.append(np.zeros(rank), unit * missing)
+        count = len(capacitance) - k  # of the columns of U
+        capacitance[:count, :count] += self._E_inverse
+        capacitance[count:, count:] += LEAST_SOFTNESS * np.eye(k) + unit**2 * softness.toarray()
+        wanted = self._inner(Z, without_pairs) - np.append(np.zeros(count), unit * missing)
         coefficients = self._agreed(solve_or_fit(capacitance, wanted))
-        return without_pairs - scaled @ coefficients, -unit * coefficients[rank:]
+        return without_pairs - scaled @ coefficients, -unit * coefficients[count:]
 
 
 #: The product of a vector x with A is kept if the new part of x, which is A-orthogonal to all
@@ -201,18 +201,18 @@ class ProductStore:
     Pairs remain valid for all loads and slip bounds, since A stays the same.
 
     Attributes:
-        W: (size, k) vectors.
-        Y: (size, k) products A W.
-        errors: (k,) errors of Y in the norm |e| = sqrt(e'A^-1 e).
+        W: (size, pairs) vectors.
+        Y: (size, pairs) products A W.
+        errors: (pairs,) errors e of the columns of Y, in the norm sqrt(e'A^-1 e).
         scale: factor on the estimate of diag(A), at most 1: the energy of the new part of the
             newest pair, divided by the energy that this part has with diag(A) in place of A. The
-            factor decreases, since new parts oscillate more and more, and diag(A) is too large for
-            vectors that oscillate. (It matters where there is no near field.)
+            factor tends to fall, since new parts oscillate more and more, and diag(A) is too large
+            for vectors that oscillate. (It matters where there is no near field.)
         capacity: limit on the number of pairs. If it is exceeded, the pairs are replaced by
             capacity / 2 combinations of them, which belong to the largest eigenvalues of A.
-        near: store of products with the near field, a cheap operator D with 0 < D <= A, at least
-            approximately; None: there is no near field. The better D approximates A for vectors
-            that oscillate between nodes, the fewer products with A are needed.
+        near: store of products with the near field, a cheap operator D, approximately with
+            0 < D <= A; None: there is no near field. The better D approximates A for vectors that
+            oscillate between nodes, the fewer products with A are needed.
         apply_near: function that applies D to (size,), if there is a near field.
     """
 
@@ -231,8 +231,8 @@ class ProductStore:
         self._reductions, self._diagonal, self.scale = reductions, diagonal, 1.0
         self.near: ProductStore | None = None
         if apply_near is not None:
-            # each product slows down all algebra with the model; more of them save few products
-            # with A (slender strip: 4.3 instead of 4.6 per load step)
+            # each product with D slows down all algebra with the model; more than 40 save few
+            # products with A (slender strip: 4.3 instead of 4.6 per load step)
             self.near = ProductStore(reductions, diagonal, capacity=40)
             self.apply_near = apply_near
         self.capacity = capacity
@@ -243,7 +243,7 @@ class ProductStore:
 
     @property
     def diagonal(self) -> Array:
-        """The estimate of diag(A), with the factor `scale`."""
+        """The estimate (size,) of diag(A), with the factor `scale`."""
         return self.scale * self._diagonal
 
     def __len__(self) -> int:
@@ -267,15 +267,15 @@ class ProductStore:
         new_energy = float(inner(new, new_product))
         if new_energy <= (RESOLVED * error) ** 2:
             return False
-        length = float(inner(new, new))
-        self._largest = max(self._largest, new_energy / length)
-        least = max(NEW_ENERGY * energy, NULL_ENERGY * self._largest * length)
+        square = float(inner(new, new))
+        self._largest = max(self._largest, new_energy / square)
+        least = max(NEW_ENERGY * energy, NULL_ENERGY * self._largest * square)
         if new_energy > least:
             self._append(new, new_product, error, new_energy)
         return True
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Return the part of x that is A-orthogonal to W, and A times the rest. Collective."""
+        """Return the part of x that is A-orthogonal to W, and A (x - this part). Collective."""
         product = np.zeros_like(x)
         for _ in range(2):  # the second pass removes rounding errors of the first
             coefficients = self._reductions.inner(self.Y, x)
@@ -297,7 +297,7 @@ class ProductStore:
         return product, float(np.hypot(error, np.sqrt(energy)))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
-        """Return a (k,), x - W a and A (x - W a), where x - W a is A-orthogonal to W. Collective.
+        """Return a (pairs,), x - W a and A (x - W a); x - W a is A-orthogonal to W. Collective.
 
         Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
         errors of the first. Pairs with errors are not orthonormal and need more passes. If the
@@ -321,10 +321,10 @@ class ProductStore:
         If there are too many pairs, their number is reduced to half the capacity.
         """
         self.scale = min(1.0, energy / float(self._reductions.inner(new, self._diagonal * new)))
-        length = np.sqrt(energy)
-        self.W = np.column_stack([self.W, new / length])
-        self.Y = np.column_stack([self.Y, product / length])
-        self.errors = np.append(self.errors, error / length)
+        root = np.sqrt(energy)
+        self.W = np.column_stack([self.W, new / root])
+        self.Y = np.column_stack([self.Y, product / root])
+        self.errors = np.append(self.errors, error / root)
         if len(self) > self.capacity:
             # eigenvectors of the largest eigenvalues of Y'Y, with which W stays A-orthonormal
             _, vectors = eigh(self._reductions.inner(self.Y, self.Y))
@@ -333,7 +333,7 @@ class ProductStore:
             self.errors = np.sqrt(np.square(kept).T @ np.square(self.errors))
 
     def drop_inaccurate_pairs(self) -> None:
-        """Drop pairs with errors that are too large for later solves."""
+        """Drop pairs whose errors exceed `LASTING_ERROR`, before a new solve. Not collective."""
         kept = self.errors <= LASTING_ERROR
         self.W, self.Y, self.errors = self.W[:, kept], self.Y[:, kept], self.errors[kept]
 
@@ -372,15 +372,15 @@ class ProductStore:
         return BlockBFGSModel(self._reductions, self.diagonal, self.W, self.Y, base)
 
 
-#: Number that the model adds to the diagonal of A, divided by the compliance of nodes whose
-#: neighbours are fixed. (The diagonal of A would be no measure: slender bodies bend a million times
-#: as much as their surfaces are pressed in.) With 1e-10, a wall of 52 bricks that is pushed is not
-#: solved; with 1e-3, it takes twice as many steps of Newton's method.
+#: Shift that `WholeModel` adds to the diagonal of A at first, divided by the compliance of nodes
+#: whose neighbours are fixed. (The diagonal of A would be no measure: slender bodies bend a million
+#: times as much as their surfaces are pressed in.) With 1e-10, a wall of 52 bricks that is pushed
+#: is not solved; with 1e-3, it takes twice as many steps of Newton's method.
 SHIFT = 1e-5
 
 
 class WholeModel:
-    """The model M = A + s I of A, whose matrix is known.
+    """The model M = A + diag(s) of A, whose matrix is known: the exact problem but for the shift s.
 
     The matrix is sparse for assemblies of many small bodies, since A couples only multipliers of
     the same body; otherwise it is dense. A is singular if rows of B are linearly dependent, as at
@@ -392,7 +392,7 @@ class WholeModel:
 
     Attributes:
         diagonal: (size,) diag(A).
-        model_diagonal: (size,) diag(A), too: diag(M) without the small shift.
+        model_diagonal: (size,) diag(A), too, as diag(M) differs by the small shift only.
         unit: mean of diag(A) over all ranks.
     """
 
@@ -406,9 +406,9 @@ class WholeModel:
     ) -> None:
         """Prepare products. Collective.
 
-        This rank's rows (size, n) of A start at the row `begin` of A. The `local_compliance`
-        (size,) is that of nodes whose neighbours are fixed. If the matrix is sparse, every rank
-        calls `solve` for systems with a sparse matrix that is not symmetric.
+        This rank's `rows` (size, n) of A start at the row `begin` of A. The `local_compliance`
+        (size,) is that of nodes whose neighbours are fixed. If A is sparse, every rank calls
+        `solve(matrix, right)` to solve systems with sparse matrices that are not symmetric.
         """
         self._reductions, self._solve = reductions, solve
         own, n = rows.shape
@@ -421,17 +421,17 @@ class WholeModel:
         self.reduce_shift()
 
     def reduce_shift(self) -> None:
-        """Divide s by ten, so that the error falls faster. Rounding of A is a lower limit."""
+        """Divide s by ten, so that the error falls faster; s stays above the rounding of A."""
         least = PRODUCT_ROUNDING * self._matrix.diagonal()
         self._shift = np.maximum(FORCING * self._shift, least)
         self._shifted = self._matrix + diags_array(self._shift, format="csr")
 
     def __len__(self) -> int:
-        """Return the number of multipliers of all ranks, whose products are known."""
+        """Return the number n of multipliers of all ranks: so many products are known."""
         return self._count
 
     def add(self, x: Array, product: Array, error: float = 0.0) -> bool:
-        """Return False, since the product of x is already known."""
+        """Return False: nothing is added, since all products are known."""
         return False
 
     def split(self, x: Array) -> tuple[Array, Array]:
@@ -470,7 +470,7 @@ class WholeModel:
         """
         unit, n, k = self.unit, len(self), len(missing)
         T, R = self._whole(maps.test), self._whole(maps.added)
-        # other rows have no T and only their diagonal in R, hence a zero right-hand side: s = 0
+        # all further rows are zero in T and have only a diagonal in R: there s = 0
         moving = np.flatnonzero((np.diff(T.indptr) > 0) | (np.diff(R.indptr) > 1))
         T, R = T[moving], R[moving][:, moving]
         matrix = ((T @ self._shifted)[:, moving] + R) / unit
@@ -490,13 +490,13 @@ class WholeModel:
         return change[self._mine], unit * values[len(moving) :]
 
     def _gathered(self, x: Array) -> Array:
-        """Return the values of all ranks, (n,) or (n, columns). Collective."""
+        """Return x (size,) or (size, columns) of all ranks, (n,) or (n, columns). Collective."""
         result = np.zeros((self._count, *x.shape[1:]))
         result[self._mine] = x
         return self._reductions.total(result)
 
     def _whole(self, own: csr_array) -> csr_array:
-        """Return the matrix (n, n) with diagonal blocks `own`, less stored zeros. Collective."""
+        """Return the matrix (n, n) of which each rank has the diagonal block `own`. Collective."""
         own = csr_array(own)
         own.eliminate_zeros()
         columns = own.indices + self._mine.start

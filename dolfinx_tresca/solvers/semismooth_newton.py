@@ -21,30 +21,30 @@ from dolfinx_tresca.solvers.interior_point import interior_point
 from dolfinx_tresca.solvers.problem import DualProblem, Model, Point
 from dolfinx_tresca.solvers.products import NodalMaps, ProductStore, WholeModel
 
-#: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal D of the
-#: model. With the value 1, as for convex problems, each node would take the state that minimises q
-#: for fixed multipliers of the other nodes; with a smaller one, states change less often.
+#: Product of the step length rho in the active sets (38.12), (38.13) and the diagonal of the model.
+#: With the value 1, as for convex problems, each node would take the state that minimises q for
+#: fixed multipliers of all other nodes; with a smaller value, states change less often.
 RHO_DIAGONAL = 0.2
 
-#: Limit on the number of times that a step that does not reduce the residual is divided by four.
+#: Limit on the number of times that a step is divided by four until it reduces the residual enough.
 #: Steps of bodies that hardly anything holds are too long by orders of magnitude. (With halves,
 #: pellets in a tube take a third more time.)
 MOST_CUTS = 7
 
 #: Softness of the constraints in the first step, times the compliance of the multipliers. The
 #: softness is multiplied by `SOFTER` after each step that reduces the residual too little, and
-#: divided by it after each other step. With 1e-10 in place of 1e-4, stones of a pile drift away.
+#: divided by it after all other steps. With 1e-10 in place of 1e-4, stones of a pile drift away.
 #: With `SOFTER` = 3, piles of stones take a third more steps.
 PROXIMAL, SOFTER = 1e-4, 10.0
 
-#: Newton's method has solved the model if the residual is at most `FORCING` times the residual at
-#: the start; where bodies float, or A is known whole, `SOLVED` times it, or `PRECISE` times that of
-#: the loads if A is known whole. (There it also goes on while steps succeed, until the residual is
-#: rounding: else pellets in a tube take 12 iterations in place of 8, and a disc spring that is
-#: pressed flat and returns takes 64 Newton steps in place of 5. With 1e-3, one of 300 piles ends
-#: with STAGNATED. Without `PRECISE`, walls of 490 and 1,104 bricks take 24 and 32 steps to carry
-#: their weight, in place of 9 and 16; with 1e-9, forces on a block a millionth below the limit of
-#: friction are out of balance by 6e-13.)
+#: Newton's method ends if the residual is at most `FORCING` times that at the start; where bodies
+#: float, or A is known whole, `SOLVED` times that, or, if A is known whole, `PRECISE` times that of
+#: the loads. (It goes on there while steps succeed, until the residual is rounding: else pellets in
+#: a tube take 12 iterations in place of 8, and a disc spring that is pressed flat and returns takes
+#: 64 Newton steps in place of 5. With 1e-3, one of 300 piles ends with STAGNATED. Without
+#: `PRECISE`, walls of 490 and 1,104 bricks take 24 and 32 steps to carry their weight, in place of
+#: 9 and 16; with 1e-9, forces on a block a millionth below the limit of friction are out of balance
+#: by 6e-13.) The model counts as solved then; if A is known whole, at `FORCING` times the start's.
 SOLVED, PRECISE = 1e-6, 1e-10
 
 #: Number of points of the interior-point method from which Newton's method may begin, see
@@ -54,11 +54,11 @@ GUESSES = 5
 
 @dataclass(frozen=True)
 class NewtonPoint(Point):
-    """A point with the residual of the equations.
+    """A point with its residual in the equations of `SemismoothNewton`.
 
     Attributes:
-        residual: residual as an energy.
-        is_solved: whether Newton's method has solved the equations, set by `solve_model`.
+        residual: the residual, as the norm `SemismoothNewton.energy`.
+        is_solved: whether the model counts as solved, from `newton_solution` or `solve_model`.
     """
 
     residual: float
@@ -74,29 +74,28 @@ class SemismoothNewton:
 
     where P_g projects onto the section of the friction cones at the pressures of x; for Tresca's
     law this is Lambda. The step length rho of each node follows from the diagonal D of M. A step
-    takes the active sets (38.12), (38.13) of the point that a gradient step from x reaches. On this
-    face, the multipliers of slipping nodes only move along the circles that bound their friction
-    discs. At the solution on the face, slipping nodes satisfy r + kappa x = 0 with kappa = |r| / g,
-    where g is the slip bound. Hence
+    takes the face of the active sets (38.12), (38.13) at x - rho r, the end of a gradient step. On
+    this face, multipliers of slipping nodes only move along the circles that bound their discs. At
+    the solution on the face, they satisfy r + kappa x = 0, kappa = |r| / g, with the bound g. Hence
 
         (P M P + diag(kappa)) s - P G c = -P r
 
     is the exact Newton system of the face, with the projector P onto the face. For Tresca's law the
-    system is symmetric. The convergence is quadratic once the active sets no longer change
+    system is symmetric. The convergence is quadratic once the active sets stay the same
     (docs/theory/algorithms.md). If slip bounds grow with the pressure, the multiplier of a slipping
     node also moves outwards with its pressure: s is replaced by P s + Q s on the left-hand side,
-    where Q contains the slope of g. If g also depends on the slip v, the component of -r along the
-    radius of the disc, the radial component of s solves s = Q s + h (change of v), h = dg/dv.
+    where Q contains the slope of g (`NodalMaps.on_face`). The slip v is the radial component of -r.
+    If g depends on it, the radial component of s solves s = Q s + h (change of v) with h = dg/dv.
 
-    Residuals are energies: those of multipliers are weighted by the root of D, those of a
-    constraint by the sum of G^2 / D (`constraint_scale`). A step is divided by four until it
-    reduces the residual by a tenth of what it promises. If no part of a step does, contact on this
-    face holds some bodies only weakly, or not at all: then S is softened for the steps that follow,
-    as in the method of Levenberg and Marquardt. After good steps, S is stiffened again. Methods are
+    Residuals are energy norms: those of multipliers are multiplied by the root of D, those of a
+    constraint divided by the root of the sum of G^2 / D. A step is divided by four until it reduces
+    the residual by a tenth of what it promises. If no part of a step does, contact on this face
+    holds some bodies only weakly, or not at all: then S is softened for the steps that follow, as
+    in the method of Levenberg and Marquardt. After good steps, S is stiffened again. Methods are
     collective, and need no product with A.
 
     Attributes:
-        goes_on: whether A is known whole, or bodies float: then steps end at rounding (`SOLVED`).
+        goes_on: whether A is known whole, or bodies float: then steps go on to rounding (`SOLVED`).
     """
 
     def __init__(self, problem: DualProblem, model: Model) -> None:
@@ -107,19 +106,19 @@ class SemismoothNewton:
         ones, G = np.ones_like(self.mean_diagonal), problem.constraints.columns
         total, size = (float(problem.inner(ones, v)) for v in (self.mean_diagonal, ones))
         self.softness = PROXIMAL * size / total if total > 0.0 else 0.0  # of the first step
-        scale = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) of each constraint
+        scale = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) sums of G^2 / D
         self.constraint_scale = np.where(scale > 0.0, scale, 1.0)
         self.load = self.energy(self.rho * problem.b, problem.constraints.values)
         self.rounding = ROUNDING * self.load
         self.goes_on = isinstance(model, WholeModel) or len(problem.constraints) > 0
 
     def energy(self, change: Array, unbalanced: Array) -> float:
-        """Return the norm of the residuals `change` (size,) and `unbalanced` (k,) as an energy."""
+        """Return the norm [energy^(1/2)] of residuals `change` (size,) and `unbalanced` (k,)."""
         square = float(self.problem.inner(change, self.mean_diagonal * change))
         return float(np.sqrt(square + unbalanced @ (unbalanced / self.constraint_scale)))
 
     def point(self, x: Array, c: Array, r: Array) -> NewtonPoint:
-        """Return a point (x, c, r) whose `residual` is that of its projection onto the cones."""
+        """Return the point (x, c, r); its `residual` is that at the projection onto the cones."""
         admissible, rho = self.problem.admissible, self.rho
         projected = admissible.at_point(x, r).project(x)
         gradient = r + self.model.apply(projected - x)
@@ -132,8 +131,8 @@ class SemismoothNewton:
     def step(self, point: NewtonPoint, softness: float) -> tuple[Array, Array]:
         """Return the changes of x and c by a whole Newton step from a point.
 
-        The number `softness` is added to S for the change of c only, as in a proximal point method:
-        solutions of the problem remain solutions.
+        The number `softness` is added to S for the change of c only (`softness_with`), as in a
+        proximal point method: solutions of the problem remain solutions.
         """
         x, r, constraints = point.x, point.r, self.problem.constraints
         target = x - self.rho * r
@@ -146,7 +145,7 @@ class SemismoothNewton:
         diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
         change, change_c = self.model.solve_on_face(
             NodalMaps.on_face(admissible, settled, face, diagonal, stiffness),
-            -r - admissible.slip_along(face),  # such that H multiplies the change of slip
+            -r - admissible.slip_along(face),  # such that L multiplies the change of slip
             constraints.columns,
             constraints.softness_with(softness),
             constraints.residual(settled, point.c),
@@ -190,7 +189,7 @@ class SemismoothNewton:
     def _part_of_step(
         self, point: NewtonPoint, dx: Array, dc: Array, wanted: float, most_cuts: int
     ) -> NewtonPoint:
-        """Return the end of the longest part 4^-n of a step with at most the residual `wanted`.
+        """Return the end of the longest part 4^-n of a step where the residual is at most `wanted`.
 
         If there is none with n <= `most_cuts`, the end with the least residual is returned.
         """
@@ -208,11 +207,11 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
     """Return an approximate solution of the contact problem with a model of A. Collective.
 
     Newton's method begins at the start. Where A is known whole, it begins again at points of the
-    interior-point method if the residual stays too large, or tractions of Coulomb's law vanish.
+    interior-point method if the residual stays too large, or all tractions of Coulomb's law vanish.
     """
     newton = SemismoothNewton(problem, model)
     guess = newton.point(start.x, start.c, start.r)
-    # the residual at which steps end, and the one with which the result counts as solved
+    # the residual at which steps end, and the residual with which the model counts as solved
     relative = SOLVED if newton.goes_on else FORCING
     tolerance = enough = max(relative * guess.residual, newton.rounding)
     if not isinstance(model, WholeModel):
@@ -224,7 +223,8 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
         # far from the solution, no more steps than the interior-point method takes
         is_far = guess.residual > ROUGH * newton.load
         point = newton.solve(guess, tolerance, 2 * PATIENCE if is_far else MOST_STEPS)
-        # zero solves Coulomb's law without loads, and draws steps to itself where friction locks
+        # zero solves Coulomb's law without loads, and draws steps to itself where friction locks:
+        # then a solution from an interior point is taken, even if its residual is larger
         vanishes = problem.inner(point.x, point.x) < ROUGH**2 * problem.inner(start.x, start.x)
         is_lost = vanishes and not problem.admissible.has_given_bounds
         if is_lost or point.residual > (tolerance if is_far else enough):
@@ -270,9 +270,9 @@ def solve_model(
     face. Hence D is itself approximated by D~, a low-rank model made of known products with D. Each
     iteration solves the problem for M with D~ in place of D. It then computes a product with D,
     which gives the residual for M and improves D~: one solve with a small matrix, none with K.
-    Products with D are kept as long as those with A. Iterations end where the `residual` for M is
-    at most `tolerance`: M counts as solved; or where Newton's method fails. (Else rolling with
-    friction takes four times the time.)
+    Products with D are kept as long as those with A. M counts as solved where the `residual` for M
+    is at most `FORCING` times the `tolerance`; iterations end there, or where Newton's method fails
+    (else rolling with friction takes four times the time), or after `SHORT_PATIENCE`.
     """
     store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:
@@ -283,16 +283,16 @@ def solve_model(
     best, least = None, float("inf")
     for _ in range(SHORT_PATIENCE):
         point = best if best is not None and least < initial else start
-        target = newton_solution(problem, store.model(store.near.model()), point)
-        step = target.x - point.x
+        end = newton_solution(problem, store.model(store.near.model()), point)
+        step = end.x - point.x
         if float(problem.inner(step, step)) == 0.0:
             break
-        change = store.apply_with_near(step) - G @ (target.c - point.c)
-        target = replace(target, r=point.r + change)
-        if (reached := residual.norm_at(target)) < least:
-            is_solved = target.is_solved and reached <= tolerance
-            best, least = replace(target, is_solved=is_solved), reached
-        if least <= tolerance or not target.is_solved:
+        change = store.apply_with_near(step) - G @ (end.c - point.c)
+        end = replace(end, r=point.r + change)
+        if (reached := residual.norm_at(end)) < least:
+            is_solved = end.is_solved and reached <= tolerance
+            best, least = replace(end, is_solved=is_solved), reached
+        if least <= tolerance or not end.is_solved:
             break
     # without a step, the diagonal is the base; a product with A then checks the step
     return best or newton_solution(problem, store.model(), start)
