@@ -443,7 +443,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 points at which these forces act.
 
         Raises:
-            ContactError: there is no converged solution, or loads have changed since.
+            ContactError: there is no solution, it has not converged, or loads have changed since.
             InputError: the tag or the condition is unknown, nothing holds the bodies there, or the
                 forms are on a mixed space.
 

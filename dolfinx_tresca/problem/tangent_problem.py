@@ -418,7 +418,7 @@ class TangentProblem(ContactSystem):
         return math.sqrt(max(float(force.dot(motion)), 0.0))
 
     def is_large(self, error: float, *displacements: Array) -> bool:
-        """Return whether an energy norm exceeds rounding and `ROUGH` of displacements. Collective."""
+        """Return whether an error norm is above rounding and `ROUGH` of others. Collective."""
         limit = max(ROUGH * max(map(self.energy_norm, displacements)), self.rounding_norm())
         return bool(self.comm.bcast(not error <= limit))  # True for NaN
 
