@@ -160,7 +160,7 @@ def jump_differences(
 
 
 def _kept_origin(contact: ContactSystem, moves: Mask) -> Array:
-    """Return the slip origin, which may not depend on obstacles of the mask `moves`. Collective."""
+    """Return the slip origin (size,); it must not depend on obstacles in `moves`. Collective."""
     # where move_to() has moved an obstacle in this step, the origin depends on its place
     solved = contact.solution_for("a derivative")
     origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves

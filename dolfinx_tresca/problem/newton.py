@@ -182,16 +182,16 @@ class NewtonRecord:
 
 
 class EnergyBalance:
-    """Energy that bodies release in a solve: work less stored energy and less friction.
+    """Energy that bodies release in a solve, by which `NonlinearContactProblem` sees them snap.
 
-    It shows `NonlinearContactProblem.solve` whether bodies snap. Loads, prescribed values and
-    obstacles work like forces that change linearly with the motion (the trapezoidal rule). The
-    stored energy is the integral of the internal forces R, straight from u_0 to u_1. The rest is
+    The work of loads, prescribed values and obstacles is that of forces which change linearly with
+    the motion (the trapezoidal rule). The change of the stored energy is the integral of the
+    internal forces R over the straight path from u_0 to u_1. The energy that remains is released:
 
         1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
 
     with the contact forces C = B'lambda, the displacement v of obstacles at the nodes in the whole
-    solve, and the dissipation D. In a smooth step the rest is small, of third order in the step.
+    solve, and the dissipation D. In a smooth step it is small, of third order in the step.
     """
 
     def __init__(self, problem: TangentProblem) -> None:

@@ -42,7 +42,7 @@ from dolfinx_tresca.table import Row, Tabulated, Units
 
 
 def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
-    """Return name -> value that must agree on all ranks, for `collective`. Not collective."""
+    """Return what `collective` compares between ranks besides arguments. Not collective."""
     return {
         "options of the problem": problem.options,
         "newton of the problem": getattr(problem, "newton", None),
@@ -232,7 +232,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 slip of the nearest point of the same pair there, or zero where no point is near.
 
         Raises:
-            InputError: pairs or dimensions differ, or a pair has finite sliding, forces, a preload.
+            InputError: pairs or dimensions differ, or a pair has finite sliding, forces or a preload.
             ConvergenceError: the solution did not converge.
         """
         dim = self.mesh.geometry.dim

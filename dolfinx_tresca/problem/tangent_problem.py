@@ -312,7 +312,7 @@ class TangentProblem(ContactSystem):
         return springs, np.array(columns.array)
 
     def _nodal_stiffness(self) -> Array:
-        """Return the `local_stiffness` (size,) in the reference tangent, kept for B. Collective."""
+        """Return each row's `local_stiffness` (size,) in the reference tangent. Collective."""
         jump = self.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
             with replaced([self.u], [self._reference]):
