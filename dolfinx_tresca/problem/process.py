@@ -232,7 +232,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 slip of the nearest point of the same pair there, or zero where no point is near.
 
         Raises:
-            InputError: pairs or dimensions differ, or a pair has finite sliding, forces or a preload.
+            InputError: pairs or dimensions differ; finite sliding, given forces or a preload.
             ConvergenceError: the solution did not converge.
         """
         dim = self.mesh.geometry.dim
