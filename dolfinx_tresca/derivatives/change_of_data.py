@@ -1,9 +1,9 @@
-"""How the data of a solution change with controls, and how outputs change with the data.
+"""How the data of a solution change with controls.
 
 The data of a solution are the load f, with the prescribed values u_D in their rows, the offsets
 (d; s) (gaps and slip origins) and the radii g of the friction discs. A `DataVector` has one entry
-for each datum. It is a change of the data, (df, du_D, do, dg), or the derivatives of an output with
-respect to the data: (z, w, y, t) with the adjoint (z, y). The output changes by their product.
+for each datum: it is a change of the data, or the derivatives of a goal with respect to the data
+(for f and (d; s), the adjoint). The inner product of these two is the change of the goal.
 
 `DataOfSolution` is the one place that knows what depends on controls: forms, Dirichlet conditions,
 gaps, terms and curves of friction laws (`nodal_fields`), and the rows of B, which rigid obstacles
@@ -45,7 +45,7 @@ Control: TypeAlias = "fem.Constant | fem.Function"
 
 
 class NodalField(NamedTuple):
-    """A user's scalar field, such as a gap, at the nodes of a pair, and its effect on the data.
+    """A user's scalar field, such as a gap, at the n nodes of a pair, and its effect on the data.
 
     Attributes:
         effect: (size + n_discs, n) derivatives of the offsets (d; s), divided by
@@ -59,7 +59,7 @@ class NodalField(NamedTuple):
 
 
 def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) -> list[NodalField]:
-    """Return each pair's gap and terms of its slip bound, with their effect on data. Collective."""
+    """Return each pair's gap and terms of its slip bound, with their effects. Collective."""
     jump, x = linearised.dual.jump, linearised.multipliers
     cones = linearised.dual.admissible.at_point(x, linearised.gradient)
     # an entry for each pair with a curve, in the order of the pairs
@@ -67,15 +67,15 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
     is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
 
     def radii_of_bound(constant: float, coefficient: float) -> Array:
-        """Return the radii (n_discs,) for a bound c + F p that is the same at all nodes."""
+        """Return the radii (n_discs,) for bounds c + F p with the same c and F at all nodes."""
         bounds = [
             NodalBounds(constant * unit, coefficient * unit, np.inf * unit, np.ones((len(unit), 2)))
             for unit in [np.ones(len(pair.nodes)) for pair in jump.pairs]
         ]
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
-    # derivatives of the radii of min(c + F p, l): since a radius is linear in the bound, they are
-    # the radii of the bounds 1 (by c), p (by F, below the limit) and 1 (by l, above the limit)
+    # derivatives of the radii for bounds c + min(F p, l): since a radius is linear in the bound,
+    # they are the radii for 1 (by c), p (by F, below the limit) and 1 (by l, above the limit)
     by_constant = radii_of_bound(1.0, 0.0)
     by_term = {
         "constant": by_constant,
@@ -110,10 +110,10 @@ class JumpDifferences:
 
     Attributes:
         sides: B with the obstacles displaced forwards and backwards.
-        jumps: (size,) B u with both operators.
-        step: factor of the direction, by which the Constant differs from its value on each side.
-        origin: (size,) the slip origin that keeps its vector at each node, in components along the
-            tangents of the solution.
+        jumps: (size,) B u with both operators, for the same u.
+        step: multiple of the direction that is added to the Constant, forwards, or subtracted.
+        origin: (size,) the slip origin whose vector at each node does not move with the obstacle,
+            in components along the tangents of the solution; zero if the slip origin moves.
     """
 
     sides: Sequence[JumpOperator]
@@ -122,7 +122,7 @@ class JumpDifferences:
     origin: Array
 
     def rate(self, function: Callable[[JumpOperator, Array], Any]) -> Any:
-        """Return the directional derivative of a function of B and B u, collective if this is."""
+        """Return the rate of a function of B and B u along the direction; collective if it is."""
         after, before = map(function, self.sides, self.jumps)
         return (after - before) / (2.0 * self.step)
 
@@ -137,9 +137,9 @@ def jump_differences(
     """Return the central differences of B in a direction of a Constant. Collective.
 
     The direction has the shape of the Constant's value. The result is None if no distance from an
-    obstacle and no normal changes. If the Constant changes `in_all_steps` so far, so does the slip
-    origin, with the jumps of the previous step (`goals.gradient`). If it changes in the last step
-    alone, the slip origin stays the same vector at each node, whose components change.
+    obstacle and no normal changes. If the Constant changes `in_all_steps` of a process, the slip
+    origin changes, too, with the jumps of the previous step (`goals.gradient`). If it changes in
+    the last step alone, the slip origin stays the same vector at each node; its components change.
     """
     obstacles, jump = contact.obstacles, contact.jump
     rates = obstacles.rates(constant, direction, jump)
@@ -160,7 +160,7 @@ def jump_differences(
 
 
 def _kept_origin(contact: ContactSystem, moves: Mask) -> Array:
-    """Return the slip origin (size,), if no obstacle in the mask `moves` was moved. Collective."""
+    """Return the slip origin (size,); it must not depend on obstacles in `moves`. Collective."""
     # where move_to() has moved an obstacle in this step, the origin depends on its place
     solved = contact.solution_for("a derivative")
     origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
@@ -174,7 +174,7 @@ def _kept_origin(contact: ContactSystem, moves: Mask) -> Array:
 
 
 def _check_same_rows(contact: ContactSystem, sides: Sequence[JumpOperator]) -> None:
-    """Check that B of displaced obstacles has the present nodes and tangents. Collective."""
+    """Check that B of displaced obstacles has the present nodes, weights, tangents. Collective."""
     same = all(
         np.array_equal(displaced.nodes, pair.nodes)
         and np.array_equal(displaced.row_node, pair.row_node)
@@ -197,7 +197,7 @@ class DataVector(NamedTuple):
         load: (owned degrees of freedom,) change of the load [force], and of prescribed values
             [length] in their rows; or the adjoint z, and derivatives by prescribed values.
         laws: (size + n_discs,) change of (d; s), divided by `JumpOperator.length_scale`, and of the
-            radii of the discs; or y, and derivatives by the radii.
+            radii of the discs; or the adjoint y, and derivatives by the radii.
         jump_differences: central differences of B, if the change of the data moves obstacles.
     """
 
@@ -209,7 +209,7 @@ class DataVector(NamedTuple):
 class DataOfSolution:
     """The data of solutions as functions of controls, to first order.
 
-    Forms are compiled once for any number of solutions of a problem: call `linearise` with each.
+    Forms are compiled once for any number of solutions of a problem: `linearise` chooses one.
     """
 
     def __init__(
@@ -267,14 +267,14 @@ class DataOfSolution:
         return goal if present is None else ufl.replace(goal, {present: self.u})
 
     def linearise(self, linearised: LinearisedContact) -> None:
-        """Take the data of a solution. Collective."""
+        """Choose the solution to which `change` and `pulled_back` refer. Collective."""
         self.linearised = linearised
         if self.u is not linearised.u:
             self.u.x.array[:] = linearised.u.x.array
         self._fields = nodal_fields(linearised, self.contact.pairs)
 
     def change(self, controls: Sequence[Control], directions: Sequence[Any]) -> DataVector:
-        """Return the change of the data along a direction of controls. Collective.
+        """Return the change of the data along directions of controls, summed. Collective.
 
         The direction of a Constant is an array, that of a Function is a Function.
         """
@@ -303,18 +303,18 @@ class DataOfSolution:
             if not isinstance(control, fem.Constant):
                 continue
             # an obstacle that moves changes B: in the forces B'x, the offsets and the radii
-            sides = jump_differences(contact, linearised, control, direction, self._in_all_steps)
-            if sides is not None:
-                differences.append(sides)
-                forces -= sides.rate(lambda side, _: np.array(side.whole_force(x).array))
-                laws += sides.rate(partial(laws_on, origin=sides.origin))
+            moved = jump_differences(contact, linearised, control, direction, self._in_all_steps)
+            if moved is not None:
+                differences.append(moved)
+                forces -= moved.rate(lambda side, _: np.array(side.whole_force(x).array))
+                laws += moved.rate(partial(laws_on, origin=moved.origin))
         return DataVector(np.where(prescribed, values, forces), laws, differences)
 
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
         """Return the derivatives of a goal by the values of a Function that this rank owns.
 
         Collective. The given `derivatives` of the goal are those by the data. By the chain rule,
-        the load contributes -z'dR, and prescribed values and nodal fields their part.
+        the residual R contributes -z'dR; prescribed values and nodal fields contribute, too.
         """
         prescribed = self.contact.linear.prescribed
         self._z.x.array[: len(prescribed)] = np.where(prescribed, 0.0, derivatives.load)
@@ -340,7 +340,7 @@ class DataOfSolution:
         """Return what Dirichlet conditions prescribe if a control has the values. Not collective.
 
         The result (owned degrees of freedom,) is zero where no condition takes a value from the
-        control. DOLFINx does not say where these are: they change if the control is set to zero.
+        control. DOLFINx does not say where one does: values change there if the control is zero.
         """
         ends = np.zeros((2, len(self.u.x.array)))
         for prescribed, given in zip(ends, (values, np.zeros_like(values)), strict=True):
@@ -353,8 +353,8 @@ class DataOfSolution:
         """Return the derivative of a form by a control, or by u; 0 without dependence. Collective.
 
         Along a direction (values of a Constant, or a Function), this is a number for a form of rank
-        0, and a vector (owned degrees of freedom,) for rank 1. Without a direction, which a
-        Constant needs, it has the derivatives of a form of rank 0 by a Function's owned values.
+        0, and a vector (owned degrees of freedom,) for rank 1. Without a direction, for a Function
+        only, it has the derivatives of a form of rank 0 by each value that this rank owns.
         """
         if control not in (*form.constants(), *form.coefficients()):
             return 0.0
@@ -382,9 +382,9 @@ class DataOfSolution:
 
 
 def inputs_of_problem(contact: ContactSystem) -> list[Any]:
-    """Return all Constants and Functions on which solutions depend, except places of obstacles.
+    """Return all Constants and Functions on which solutions depend. Not collective.
 
-    Values of Dirichlet conditions may be C++ objects of DOLFINx, which `values_of` accepts, too.
+    Places of obstacles and directions of friction are excepted. Values of `bcs` may be C++ objects.
     """
     inputs: list[Any] = []
     for form in contact.linear.ufl_forms:

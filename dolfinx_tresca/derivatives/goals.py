@@ -1,9 +1,9 @@
-"""Numbers computed from a solution, their errors, and derivatives of solutions.
+"""Goals, which are numbers computed from a solution, their errors, and derivatives.
 
 The error of a goal is a(u - u_h, z - z_h) with the adjoint z (Becker and Rannacher, An optimal
 control approach to a posteriori error estimation in finite element methods, 2001), plus a term from
 nodes that change their state, which is not estimated. This term is of order h^2 for elements of any
-degree: at the distance r from the edge of a contact zone, y grows like r^(-1/2).
+degree: near the edge of a contact zone, y grows like r^(-1/2) with the distance r from the edge.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def value_of(goal: Goal, x: Array, jump: JumpOperator, jump_of_u: Array) -> floa
 def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Array]:
     """Return the derivatives (size,) of a goal with respect to B u and to x. Collective.
 
-    Since all goals are homogeneous of degree 1 in the jumps B u and the multipliers x, a goal is
-    the sum of its derivatives times B u and x.
+    These are also the goal for `value_of`: all goals are homogeneous of degree 1 in B u and x
+    together, so a goal is the sum of its derivatives times B u and x.
     """
     rows = jump.by_pair[goal.pair]
     # rows n and t of B, with the nodes i and j of the pair to which they belong
@@ -119,8 +119,8 @@ def _means_of_bump(goal: MeanPressure, V: Any, pair: PairOperators) -> Array:
 
     A multiplier is the mean of the pressure under its node's hat function. If the goal used the
     weight's values at the nodes, the error of this linear interpolation would exceed the
-    discretisation error of elements of degree 2. With means by the multiplier basis, it has a zero
-    mean round each node.
+    discretisation error of elements of degree 2. With means by the multiplier basis, the error has
+    a zero mean round each node.
     """
     index_map = V.dofmap.index_map
     matrix = as_petsc(index_map, 1, [pair.secondary], V.mesh.comm)
@@ -139,7 +139,7 @@ class GoalError:
         goal: the goal.
         value: value of the goal in the solution [unit of the goal].
         error: estimate of the discretisation error of the value [same unit]: the absolute value of
-            `signed_error` and, as its uncertainty, `DOUBT` times the sum of the squares of
+            `signed_error` plus, as its uncertainty, `DOUBT` times the sum of the squares of
             `cell_errors`. The estimate is not a bound. It is zero if the goal does not depend on
             the displacement to first order, as for the mean pressure on a patch without contact.
         signed_error: estimate of the exact value minus the value [same unit]: the sum over the
@@ -150,7 +150,7 @@ class GoalError:
         cell_errors: for each cell the root of the product of the energy norms of e and e' [root of
             the goal's unit], for `refine`. The sum of their squares has no cancellation of signs.
         adjoint: the adjoint displacement z; see `derivatives/linearised.py`.
-        products: number of applications of A for this estimate.
+        products: number of products with A for this estimate.
 
     Example:
         With the cube in the example of `ContactProblem`, whose stress is uniform:
@@ -175,9 +175,9 @@ class GoalError:
     def corrected_value(self) -> float:
         """The value, corrected by the smallest error that agrees with the estimate.
 
-        Its correction is `signed_error`, less the uncertainty of this, or zero. Where it differed
-        from `value` it was more accurate on 198 of 204 meshes (benchmarks/README.md, "Measured
-        once"). `error` refers to `value`.
+        The correction is `signed_error`, shortened by its uncertainty, at most to zero. Where the
+        corrected value differed from `value`, it was more accurate on 198 of 204 meshes
+        (benchmarks/README.md, "Measured once"). `error` refers to `value`.
         """
         least = max(2.0 * abs(self.signed_error) - self.error, 0.0)
         return self.value + math.copysign(least, self.signed_error)
@@ -197,8 +197,8 @@ def goal_error(
 ) -> GoalError:
     """Return the value and the estimated error of a goal, for some 10 products with A. Collective.
 
-    The displacement u includes the rigid motions of bodies that have turned, and `energy_error` is
-    that of the iteration [energy^(1/2)]. The module and `GoalError` describe the estimate.
+    The displacement u gives the value: unlike `linearised.u`, it contains the rigid motions of
+    bodies that have turned. The `energy_error` [energy^(1/2)] is that of the iteration.
     """
     dual, jump, x = linearised.dual, linearised.dual.jump, linearised.multipliers
     products_before = dual.compliance.products
@@ -262,9 +262,9 @@ def gradient(
     the radii of slipping nodes are t'(q_x - B z), with the directions t of the tractions.
 
     The derivative with respect to the slip origin s is y, like the derivative with respect to the
-    gap. After this step, a node that sticks in it keeps its s; for any other node the next s is its
-    tangential jump T u in this step. So derivatives of goals of later steps, `by_origin` (size,)
-    with respect to the next s, are added to y at nodes that stick, and to q_u at other nodes.
+    gap. The s of the next step is that of this step at nodes that stick, and the tangential jump
+    T u of this step at all others. So the derivatives of goals of later steps by the next s, which
+    `ProcessTape` gives as `by_origin` (size,), are added to y at nodes that stick, else to q_u.
 
     The result has for each control the derivatives with respect to its values (for a Function,
     those that this rank owns), and the derivatives (size,) with respect to the s of this step.
@@ -272,9 +272,9 @@ def gradient(
     linearised, jump, u = data.linearised, data.linearised.dual.jump, data.linearised.u
     discs, sticks, inner = linearised.face.discs, linearised.face.stick, linearised.dual.inner
     by_origin = np.zeros(discs.size) if by_origin is None else by_origin
-    by_next_step = by_origin.copy()
-    by_next_step[discs.tangential[sticks[discs.node]]] = 0.0
-    by_jump, by_x, by_u = by_next_step.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
+    by_next_origin = by_origin.copy()  # derivatives by those T u that are the next s
+    by_next_origin[discs.tangential[sticks[discs.node]]] = 0.0
+    by_jump, by_x, by_u = by_next_origin.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
     for weight, goal in goals:
         if not isinstance(goal, ufl.Form):
             goal_by_jump, goal_by_x = derivatives_of(goal, jump, linearised.multipliers)
@@ -310,12 +310,12 @@ def gradient(
             values[k] = inner(derivatives.load, change.load) + inner(derivatives.laws, change.laws)
             for weight, goal in goals:
                 values[k] += weight * explicit_rate(data, goal, [control], [direction], change)
-            for sides in change.jump_differences:  # T u itself, the next s, changes with B
-                values[k] += float(inner(by_next_step, sides.rate(lambda _, jump_of_u: jump_of_u)))
+            for moved in change.jump_differences:  # T u itself, the next s, changes with B
+                values[k] += float(inner(by_next_origin, moved.rate(lambda _, jumps: jumps)))
         by_controls.append(values.reshape(control.ufl_shape))
-    by_slip = np.zeros(discs.size)
-    by_slip[discs.tangential] = y[discs.tangential]
-    return by_controls, by_slip + by_origin - by_next_step
+    by_own_origin = np.zeros(discs.size)
+    by_own_origin[discs.tangential] = y[discs.tangential]
+    return by_controls, by_own_origin + by_origin - by_next_origin
 
 
 def explicit_rate(
@@ -334,7 +334,7 @@ def explicit_rate(
         pairs = zip(controls, directions, strict=True)
         return float(sum(data.derivative(goal, *pair) for pair in pairs))
     value = partial(value_of, goal, data.linearised.multipliers)
-    return float(sum(sides.rate(value) for sides in change.jump_differences))
+    return float(sum(moved.rate(value) for moved in change.jump_differences))
 
 
 def as_derivatives(
@@ -342,8 +342,8 @@ def as_derivatives(
 ) -> list[Any]:
     """Return each control's derivatives as an array of its shape, or as a Function. Collective.
 
-    The values are those of `gradient`, or the number 0. If a control has zeros alone, the log says
-    so, and to which load step they belong, by the words `when`, such as " in step 2".
+    The values, of `gradient`, are one array for each control, or the number 0. If all derivatives
+    by a control are zero, the log says so, with the words `when`, such as " in step 2".
     """
     result: list[Any] = []
     for control, derivatives in zip(controls, values, strict=True):
@@ -370,7 +370,7 @@ class SurfaceTangent:
         name: name of the pair.
         mesh: the mesh of the surface.
         pressure: change of the contact pressure [stress].
-        gap: change of the gap [length], zero at pressed nodes.
+        gap: change of the gap [length], positive if it opens; zero at pressed nodes.
         traction: change of the tangential traction [stress]; None without friction.
         slip: change of the slip [length], zero where surfaces stick; None without friction.
     """
@@ -428,7 +428,7 @@ def tangent_of(
     controls: Sequence[Control],
     directions: Sequence[Any],
 ) -> ContactTangent:
-    """Return the change of a solution along directions of controls. Collective.
+    """Return the change of a solution along directions of controls, summed. Collective.
 
     Each node keeps its contact state; see `linearised` for the equations.
     """
@@ -461,9 +461,9 @@ def tangent_of(
         return np.concatenate(by_pair, axis=1)
 
     changes, r = vectors(jump, stress, slip), linearised.gradient
-    for sides in change.jump_differences:
+    for moved in change.jump_differences:
         # vectors of the present components turn with the tangents of B
-        changes += sides.rate(lambda B, _: vectors(B, x * B.stress_scale, -r * B.length_scale))
+        changes += moved.rate(lambda B, _: vectors(B, x * B.stress_scale, -r * B.length_scale))
     by_pair, result = jump.by_pair, []
     ends = np.cumsum([len(rows.operators.nodes) for rows in by_pair])[:-1]
     of_pairs = np.split(changes, ends, axis=1)

@@ -8,17 +8,17 @@ displacement u and the multipliers x obeys
 
 where P projects onto the face, C is the curvature of the circles, and Q contains the slope of the
 slip bounds. Let the load change by df, the offsets (d; s) (gaps and slip origins) by do, and the
-radii of the circles by dg. With the unit vectors n along the multipliers on the circles, the
+radii of the circles by dg. With the unit vectors t along the multipliers on the circles, the
 tangent (du, dx) obeys
 
-    K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + n dg.
+    K du + B'dx = df,    P (B du - C dx) = P do,    dx = (I + Q) P dx + t dg.
 
 For a goal q_u'u + q_x'x, the adjoint (z, y) obeys
 
     K z + B'y = q_u,    P (I + Q') (B z - C y) = P (I + Q') q_x,    y = P y.
 
 For Q = 0, both systems have the same matrix; slip bounds that follow the pressure make it
-unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'n dg. If bodies float, K z + B'y = q_u
+unsymmetric. The goal changes by z'df + y'do + (q_x - B z)'t dg. If bodies float, K z + B'y = q_u
 has a solution only if y balances q_u in the way in which contact forces balance the load: y
 satisfies the equations of equilibrium (`floating/equilibrium.py`) with q_u in place of the load.
 """
@@ -48,11 +48,11 @@ from dolfinx_tresca.solvers.feasible_set import Face
 from dolfinx_tresca.solvers.products import NodalMaps
 
 #: Relative error of y in the energy norm of the model of A, for estimates of errors (its square is
-#: that of the adjoint's energy), and the residual over the first that is accepted if steps fail.
+#: that of the adjoint's energy). If steps fail, a residual of this part of the first is accepted.
 ADJOINT_ACCURACY = ROUGH
 
-#: Whether products are exact -> relative error of the multipliers of derivatives, in the energy
-#: norm; products of an iterative solver for K have this error.
+#: Whether K is factored, so that products with A are exact -> relative error, in the energy norm,
+#: of the multipliers y of gradients and tangents.
 ACCURACY = {True: 1e-10, False: 1e-5}
 
 #: The right-hand side of the equations for GCR is a difference of two terms. The residual of GCR
@@ -67,10 +67,10 @@ STEP_ACCURACY = 0.05
 
 @dataclass(frozen=True)
 class LinearisedContact:
-    """A solution with the problem that it solves, and the contact states that derivatives keep.
+    """A solution u, x (`multipliers`) of a dual problem, and the contact states that are kept.
 
     Attributes:
-        bounds: slip bounds at the nodes of each pair.
+        bounds: slip bounds at the nodes of each pair, for derivatives by places of obstacles.
     """
 
     dual: DualProgram
@@ -104,18 +104,18 @@ class LinearisedContact:
                 "the coefficient of friction depends on the slip, and derivatives and errors of "
                 "numbers are not known for such laws: make it a function of the pressure alone."
             )
-        # Q is the sum of g' t n' over slipping nodes, with the slope g' of the bound
+        # Q is the sum of g' t n' over slipping nodes: slope g' of the bound, unit normal vector n
         follow = cones.nodal_matrix(np.ones_like(x), (face.radial, cones.at_normals(slope)))
         return face, section.circle_stiffness(r, face), follow
 
     def tangent(self, force: Array, offset: Array, radius: Array) -> tuple[fem.Function, Array]:
         """Return the changes du of the displacement and dx (size,) of the multipliers. Collective.
 
-        Products with A are kept for later solves. The changes of the data are the force df (owned
-        degrees of freedom,), with du_D in rows of prescribed values; the offset do (size,), divided
-        by `JumpOperator.length_scale`; and the radius dg (n_discs,).
+        Products with A are kept for later solves. The changes of the data are the force (owned
+        degrees of freedom,), du_D in rows of prescribed values, else df - K du_D; the offset do
+        (size,), divided by `JumpOperator.length_scale`; and the radius dg (n_discs,).
         """
-        # with dx = y + n dg, y = (I + Q) P y obeys the equations of `_solve` for df - B'n dg
+        # with dx = y + t dg, y = (I + Q) P y obeys the equations of `_solve` for df - B't dg
         grown = self.face.along_radius(np.where(self.face.slip, radius, 0.0))
         right = self.dual.jump.contact_force(grown).copy()
         right.array = force - right.array
@@ -139,10 +139,10 @@ class LinearisedContact:
     def _solve(
         self, force: PETSc.Vec, offset: Array, accuracy: float | None, transpose: bool
     ) -> tuple[fem.Function, Array]:
-        """Return (v, y) with K v + B'y = force, and the equations of y. Collective.
+        """Return (v, y) with K v + B'y = force and T (B v - C y) = T offset. Collective.
 
-        They are T (B v - C y) = T offset, with T = P (I + Q') and y = P y for the adjoint
-        (`transpose`), and with T = P and y = (I + Q) P y for the tangent. The first equation gives
+        For the adjoint (`transpose`) (v, y) is (z, y), T = P (I + Q') and y = P y; for the tangent
+        it is (du, dx - t dg), T = P and y = (I + Q) P y. The first equation gives
         v = K^-1 (force - B'y), plus rigid motions U c of floating bodies, B U = G. So y and c obey
 
             T ((A + C) y - G c) = T (B K^-1 force - offset),    G'y + S c = resultants,
@@ -162,12 +162,12 @@ class LinearisedContact:
             resultants, largest_resultant = dual.equilibrium.resultants(free)
         y, c, is_solved = self._gcr(displacement, offset, resultants, accuracy, transpose)
         unmet = resultants - dual.inner(constraints.columns, y) - constraints.softness @ c
-        # changes of gaps and slip bounds, too, cause multipliers of a tangent
+        # a tangent has multipliers also from changes of gaps and slip bounds, without resultants
         largest = largest_resultant + (0.0 if transpose else norm(dual, y))
         is_balanced = largest_resultant == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
         if not (is_solved and is_balanced):
             _raise_unsolved(transpose)
-        # a small part of the tolerable error of y
+        # the error of v is a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
             dual.equilibrium.add_rigid_displacements(y, v.x.petsc_vec, c)
@@ -254,7 +254,7 @@ class LinearisedContact:
 
 
 def _raise_unsolved(transpose: bool) -> NoReturn:
-    """Raise the error for an adjoint (`transpose`) or a tangent that does not exist."""
+    """Raise an error, since the adjoint (`transpose`) or the tangent does not exist."""
     if transpose:
         raise ConvergenceError(
             "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
@@ -269,9 +269,9 @@ def _raise_unsolved(transpose: bool) -> NoReturn:
 
 
 class _Unknowns(NamedTuple):
-    """Unknowns y (size,) and c (k,), with v (owned degrees of freedom,); or a step of them.
+    """Unknowns of GCR: y (size,) and c (k,), with v (owned degrees of freedom,); or a step of them.
 
-    With a direct solver v is empty, since it is computed at the end.
+    With a direct solver v is empty, since only its values at the start and at the end are needed.
     """
 
     y: Array
@@ -286,8 +286,8 @@ class _Unknowns(NamedTuple):
 class _FollowedDisplacement:
     """The displacement v with K v = f - B'y while GCR changes y.
 
-    With a direct solver for K each product is one solve, and v is computed once, at the end. An
-    iterative solver starts from the last v, and stops when the error is a given part of the step.
+    With a direct solver for K each product is one solve, and v is computed for y = 0 and at the
+    end. An iterative solver starts from the last v, and stops at a given part of the step's length.
     As steps become smaller, v becomes more accurate, and all steps together cost little more than
     one accurate solve. (If each product had the accuracy of the result instead, the derivatives of
     a goal on the two bricks with N = 16 would take 90 to 117 iterations of the solver for K in
@@ -303,7 +303,7 @@ class _FollowedDisplacement:
             self._error = self.improve(None, v, STEP_ACCURACY, 0.0)
 
     def improve(self, y: Array | None, v: PETSc.Vec, rtol: float, accuracy: float) -> float:
-        """Solve K v = f - B'y from the given v, as `StiffnessSolver.improve` does. Collective."""
+        """Solve K v = f - B'y (None: y = 0) from the given v, return the error. Collective."""
         force, prescribed = self._f, self._jump.system.prescribed
         if y is not None:
             force = self._jump.contact_force(y)

@@ -34,10 +34,10 @@ GoalsOfStep: TypeAlias = "Goal | ufl.Form | Sequence[tuple[float, Goal | ufl.For
 
 @dataclass(frozen=True)
 class _Recorded:
-    """An accepted step.
+    """An accepted load step, as the tape keeps it until gradients are asked for.
 
     Attributes:
-        values: values of all inputs of the problem in this step.
+        values: values of all inputs of the problem in this step, see `inputs_of_problem`.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         laws: `ContactSystem.law_values` of the step.
     """
@@ -102,7 +102,7 @@ class ProcessTape:
 
     @contextmanager
     def adding_step(self) -> Iterator[None]:
-        """Record the last solution as a step after a block in which the caller accepts it.
+        """Record the last solution as a step; inside the block, `ContactProcess.accept` accepts it.
 
         The solution is read before the block, which replaces the slip history from which it was
         computed; it is added to the tape after the block, if this raises no error. Collective.
@@ -181,7 +181,7 @@ class ProcessTape:
     def _derivatives(
         self, goals: Mapping[int, GoalsOfStep], controls: Sequence[Control]
     ) -> list[list[Any]]:
-        """Return for each step the derivatives by the values of controls in it. Collective."""
+        """Return for each step the derivatives by the values of each control in it. Collective."""
         contact = self._contact
         contact.check_not_destroyed()
         u = fem.Function(contact.linear.V)
@@ -195,19 +195,19 @@ class ProcessTape:
                 "before obstacles are moved."
             )
         self._check_places(controls)
-        # a step gives its derivatives by the slip origin, `on_origin`, to the step before
+        # each step hands the derivatives by its slip origin, `by_origin`, to the step before
         result: list[list[Any]] = [[0.0] * len(controls) for _ in self._steps]
-        on_origin: Array | None = None
+        by_origin: Array | None = None
         for number in reversed(range(max(goals_of_step, default=-1) + 1)):
             step, weighted = self._steps[number], goals_of_step.get(number, [])
             with replaced(self._inputs, step.values):
                 self._check_laws(step, number)
                 data.linearise(step.linearised)
-                result[number], on_origin = gradient(data, weighted, controls, on_origin)
+                result[number], by_origin = gradient(data, weighted, controls, by_origin)
         return result
 
     def _check_laws(self, step: _Recorded, number: int) -> None:
-        """Check that gaps and friction have a step's values with its inputs set. Collective."""
+        """Check that the recorded inputs give the recorded gaps and friction. Collective."""
         same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
         if not self.comm.allreduce(same, op=MPI.LAND):
             raise InputError(
@@ -217,7 +217,7 @@ class ProcessTape:
             )
 
     def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles are in place, and derivatives by their places known. Collective."""
+        """Check that obstacles are where they were, and that controls may move them. Collective."""
         contact, steps = self._contact, self._steps
         if contact.obstacles.changed(contact.jump).any():
             raise ContactError(
@@ -236,7 +236,7 @@ class ProcessTape:
                 )
 
     def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
-        """Return the user's goals as number of a step -> pairs (weight, goal), if all are right."""
+        """Return number of a step -> pairs (weight, goal), from the user's goals, or raise."""
         numbers = [integer(key) for key in goals] if isinstance(goals, Mapping) else [None]
         if any(number is None or not 0 <= number < len(self) for number in numbers):
             raise InputError(

@@ -38,14 +38,14 @@ from dolfinx_tresca.table import Units
 
 
 class ContactProblem(ContactProcess):
-    """Linear elastic bodies in contact, with or without friction: (38.1) to (38.3).
+    """Linear elastic bodies in contact, with or without friction (docs/theory/problem.md).
 
     Forms and slip bounds may contain `fem.Constant` and `fem.Function`: change these in place, and
     the next `solve()` uses the new values. K is assembled and factored once. After a change of
     coefficients of the form `a`, call `update_stiffness()`; until then, solves use the K that was
     factored last, and the log warns. Each solve starts from the multipliers of the last solve (with
-    Coulomb friction, after an accepted step, from the multipliers of this step), and uses the
-    products with A of earlier solves as long as neither K nor the pairing changes. The set of
+    Coulomb friction, from those of the last accepted step, if there is one), and uses the products
+    with the compliance A of earlier solves as long as neither K nor the pairing changes. The set of
     degrees of freedom that `bcs` prescribe is fixed, but their values may change.
 
     Friction resists the total slip, measured from the undeformed state: this is the law of a single
@@ -54,7 +54,7 @@ class ContactProblem(ContactProcess):
 
     A problem owns PETSc objects: call `destroy()`, or use the problem as a context manager. If the
     problem is not destroyed, its PETSc objects are freed later: on one rank when Python frees the
-    problem, on several ranks when the next problem on the same mesh is made.
+    problem, on several ranks when a problem on the same mesh is then made, solved or destroyed.
 
     Attributes:
         pairs: surfaces that may touch.
@@ -142,8 +142,8 @@ class ContactProblem(ContactProcess):
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: K is not symmetric, or is indefinite; or contact closes in a body that
-                cannot change its volume.
+            StiffnessError: K is not symmetric, or is indefinite; or contact and `bcs` enclose an
+                incompressible body of a mixed space on all sides.
         """
         super().__init__(pairs, SolverOptions() if options is None else options, units)
         request = SolverRequest(stiffness, petsc_options, petsc_options_prefix, expected_solves)
@@ -253,23 +253,23 @@ class ContactProblem(ContactProcess):
 
         The estimate keeps the contact state of each node, since changes of states are of second
         order in the error of the displacement: if all nodes stick, the mean slip and its estimated
-        error are zero. It covers the discretisation error of the displacement, but not the shape of
-        curved boundaries without contact, which is taken as it is in the mesh. It costs about ten
-        products with A, which later solves use, too.
+        error are zero. The error of a mesh that approximates curved boundaries without contact is
+        not included. The estimate costs about ten products with A, which later solves use, too.
 
         Args:
             goal: a `NormalForce`, `ContactForce`, `MeanPressure`, `MeanSlip` or `PressureNorm`.
 
         Raises:
             ContactError: nothing was solved since the problem changed.
-            InputError: the goal is wrong, or `a` is no form of UFL, or is on a mixed space.
+            InputError: the goal is wrong; `a` is no UFL form, or is on a mixed space; friction
+                depends on the slip; or forces hold obstacles, or preloads hold bolts.
             ConvergenceError: with the contact state kept, rigid motions of bodies change the goal.
         """
         goal = checked_goal(goal, len(self.pairs), self.mesh.geometry.dim)
         solved = self._solved_for("the error of a goal")
         dual, fields = solved.dual, solved.fields
         energy_error = fields.energy_error_bound * dual.norm_of(fields.deformation)
-        # no data change, so slip bounds are not asked for
+        # slip bounds, here (), are read for derivatives by places of obstacles alone
         linearised = LinearisedContact(dual, solved.multipliers, fields.deformation, ())
         return goal_error(goal, linearised, fields.u, energy_error)
 
@@ -281,11 +281,11 @@ class ContactProblem(ContactProcess):
         displacements of degree 1 or 2, stiffnesses that are constant in each cell, and contact with
         rigid planes, or (degree 1) of bodies whose meshes match on flat surfaces. Each body needs
         Dirichlet conditions that hold it. See `GuaranteedError` for what the exact solution is, and
-        docs/theory/guaranteed.md for the proof. It costs a solve with K, and a time in each cell.
+        docs/theory/guaranteed.md for the proof. It costs a solve with K, and small local problems.
 
         Args:
             gain: the bound is made sharper step by step, until a step lowers it by less than this
-                part. Each step costs some percent of the time.
+                fraction. Each step costs some percent of the time.
 
         Raises:
             ContactError: nothing was solved since the problem changed, the last solve did not
@@ -316,10 +316,10 @@ class ContactProblem(ContactProcess):
 
         Args:
             goal: a `NormalForce`, a `ContactForce`, or a linear form of UFL, such as
-                `ufl.TestFunction(V)[0] * ds(7)` for the integral of a displacement. Tractions count
-                for forces with the weight that is 1 at contact nodes, and zero at nodes where the
-                displacement is prescribed, linear (degree 2: quadratic) between them.
-            gain: least gain of a step, as in `guaranteed_error`.
+                `ufl.TestFunction(V)[0] * ds(7)` for the integral of a displacement. A force is the
+                integral of tractions times a weight, which is 1 at contact nodes, zero where the
+                displacement is prescribed, and linear (degree 2: quadratic) between nodes.
+            gain: see `guaranteed_error`.
 
         Raises:
             ContactError: as `guaranteed_error`.
@@ -339,7 +339,7 @@ class ContactProblem(ContactProcess):
         functional = bound.Functional(goal, bodies, solved.dual)
         multiple, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = multiple * functional.form if L is None else L + multiple * functional.form
-        # differences of these solves count
+        # the bounds are differences of these solves, divided by the multiple of the goal
         options = self.options.with_changes(rtol=SMALLEST_TOLERANCE)
 
         def candidate(t: float) -> bound.Candidate:
@@ -354,7 +354,7 @@ class ContactProblem(ContactProcess):
             return functional.interval(solved.fields.u, candidate, gain)
 
     def _checked_for_bounds(self, gain: Any) -> tuple[bound.Bodies, StepSolution, float]:
-        """Return bodies, last solve and gain, if there are guaranteed bounds for it. Collective."""
+        """Return bodies, last solution and gain, all checked for guaranteed bounds. Collective."""
         contact = self._contact
         solved = self._solved_for("a guaranteed bound")
         contact.check_inputs("a guaranteed bound")
@@ -370,7 +370,7 @@ class ContactProblem(ContactProcess):
 
     @contextmanager
     def record(self) -> Iterator[ProcessTape]:
-        """Record the load steps that are accepted inside the block, for derivatives.
+        """Record the load steps accepted inside the block, for derivatives through all of them.
 
         Not collective; each recorded `accept()` is collective, and assembles the load once more to
         check that nothing has changed since the solve.

@@ -39,11 +39,11 @@ BALANCE = 100.0
 #: enough: with added stiffness it converges linearly, and steps cost less than a smaller load.
 MAX_ITERATIONS_FACTOR = 4
 
-#: Stiffness that is added to a tangent which is not positive definite, in the order of trial: of
-#: springs in the contact, relative to the stiffness of a single node, and the factor with which the
-#: undeformed bodies' stiffness is added. Blocks of rubber compressed by 40 % buckle with springs of
-#: 1; springs of 10,000 almost prevent sliding. The least factor that suffices takes the fewest
-#: steps: with 0.1 and 1 only, an arch that a ball pushes through takes 404 in place of 57.
+#: Stiffness that is added to a tangent which is not positive definite, in the order of trial: the
+#: stiffness of springs in the contact, relative to that of a single node, and the factor of the
+#: undeformed bodies' stiffness (arguments of `factor`). Blocks of rubber compressed by 40 % buckle
+#: with springs of 1; springs of 10,000 almost prevent sliding. The least factor that suffices takes
+#: the fewest steps: with 0.1 and 1 only, an arch that a ball pushes through takes 404, not 57.
 ADDED = (
     *((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0)),
     *((10.0, factor) for factor in (0.01, 0.03, 0.1, 0.3, 1.0)),
@@ -53,10 +53,10 @@ ADDED = (
 #: entries do not change the iterates as long as nodes stay in contact.
 FIRST_SLOW = [proximal > 0.0 for _, proximal in ADDED].index(True)
 
-#: Bodies have snapped if they release more than the first part of the energy that they exchange
-#: with contact or store, whichever is larger, and move more than the second number times as far as
-#: obstacles and prescribed values. (Where an edge passes from node to node a step seems to release
-#: up to 0.6, which the next step takes back.)
+#: Bodies have snapped if they release more than `SNAP` times the energy that they exchange with
+#: contact or store, whichever is larger, and move more than `FAR` times as far as obstacles and
+#: prescribed values do. (Where an edge passes from node to node, a step seems to release up to 0.6
+#: of this energy, which the next step takes back.)
 SNAP, FAR = 0.5, 3.0
 
 #: Advice about elements that are unstable since they keep their volume.
@@ -74,12 +74,12 @@ class NewtonOptions:
 
     Attributes:
         accuracy: requested residual |R(u) + B'lambda|_{K^-1}, where R(u) are internal minus
-            external forces and K is the tangent of the last step. It is relative to the larger of
-            |u|_K and |u - u_0|_K, where u_0 is the displacement at the start of the solve; if
-            stiffness was added to the tangent, whose energy is then no measure, relative to at most
-            100 |B'lambda|_{K^-1}. A larger residual is accepted if it no longer halves and has the
-            size of its rounding errors: a rigid motion has no energy and no other residual. The
-            residual of the contact conditions has an accuracy of its own, in `SolverOptions`.
+            external forces, B'lambda contact forces and K is the last tangent. It is relative to
+            the larger of |u|_K and |u - u_0|_K, where u_0 is u at the start of the solve; if
+            stiffness was added to the tangent, which makes these norms large, to 100
+            |B'lambda|_{K^-1} if that is smaller. A larger residual is accepted if it does not halve
+            any more and has the size of its rounding errors, as after a rigid motion, which has no
+            energy. The residual of the contact conditions has its own accuracy in `SolverOptions`.
         max_iterations: largest number of Newton steps for a part of the load. Up to four times this
             number are taken while the error (with finite sliding also the error of the
             configuration) falls fast enough to reach the requested error within these steps.
@@ -106,14 +106,14 @@ class NewtonStep:
     Attributes:
         number: number of the step, from 1 for each part of the load.
         fraction: fraction of the whole change of load at which the step seeks the equilibrium.
-        correction: |u_{k+1} - u_k|_K relative to the larger of |u_{k+1}|_K and |u_{k+1} - u_0|_K,
-            where u_0 is the displacement at the start of the solve.
-        residual: |R(u_{k+1}) + B'lambda|_{K^-1}, see `NewtonOptions.accuracy`, divided by the same
-            norm as `correction`; NaN if it cannot be computed.
-        contact_residual: natural residual of the contact problem, relative to that without contact.
+        correction: |u_{k+1} - u_k|_K, the length of the step, relative to the norm to which
+            `NewtonOptions.accuracy` is relative.
+        residual: |R(u_{k+1}) + B'lambda - h|_{K^-1} with the forces h that take back what of the
+            load is not applied yet, relative to the same norm; NaN if it cannot be computed.
+        contact_residual: natural residual of the contact problem, relative to that at lambda = 0.
         iterations: iterations of the contact solver.
         products: products with A in this step.
-        pressed: number of nodes in contact, of all pairs and ranks.
+        pressed: number of nodes with pressure, of all pairs and ranks.
         added: stiffness that was added to the tangent, in words; empty if there was none.
     """
 
@@ -129,7 +129,7 @@ class NewtonStep:
 
     @property
     def is_proximal(self) -> bool:
-        """Whether stiffness of the undeformed bodies was added, as where bodies snap."""
+        """Whether the stiffness of the undeformed bodies was added, as where bodies snap."""
         return "proximal" in self.added
 
 
@@ -148,10 +148,10 @@ class NewtonRecord:
             the size of the step. NaN if it cannot be computed, or after a failure.
         snaps: whether most of the energy that the bodies exchange in this step is released: they
             jump to another equilibrium, or the step is too large to follow them.
-        unbalanced: after a failure the forces R(u) + B'lambda [force] that are out of balance in
-            its last Newton step, zero where prescribed; else None.
-        flips: after a failure the number of Newton steps in which contact at each node began or
-            ended, for the last part of the load that was tried; else None.
+        unbalanced: after a failure the forces R(u) + B'lambda - h [force], as in
+            `NewtonStep.residual`, after its last Newton step, zero where prescribed; else None.
+        flips: after a failure, at each node the number of Newton steps in which contact began or
+            ended there, for the last part of the load that was tried; else None.
     """
 
     steps: tuple[NewtonStep, ...]
@@ -182,20 +182,20 @@ class NewtonRecord:
 
 
 class EnergyBalance:
-    """Work, stored energy and friction between the start of a solve and its solution.
+    """Energy that bodies release in a solve, by which `NonlinearContactProblem` sees them snap.
 
     The work of loads, prescribed values and obstacles is that of forces which change linearly with
     the motion (the trapezoidal rule). The change of the stored energy is the integral of the
-    internal forces R over the straight path from u_0 to u_1. The energy that remains is
+    internal forces R over the straight path from u_0 to u_1. The energy that remains is released:
 
         1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
 
-    with the contact forces C = B'lambda, the displacement v of the obstacles at the nodes, and the
-    dissipation D of friction. In a smooth step it vanishes, to third order in the step.
+    with the contact forces C = B'lambda, the displacement v of obstacles at the nodes in the whole
+    solve, and the dissipation D. In a smooth step it is small, of third order in the step.
     """
 
     def __init__(self, problem: TangentProblem) -> None:
-        """Note displacement and contact forces before the surfaces are paired anew. Collective."""
+        """Note u_0 and C_0, before the solve moves u or pairs surfaces anew. Collective."""
         state = problem.state
         self._problem = problem
         self._motions = state.motions, problem.obstacles.motions
@@ -203,10 +203,10 @@ class EnergyBalance:
         known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
         ends = known_ends or [np.zeros_like(self._start)]  # zero before the first solve
         self._begins_at_end = any(np.array_equal(self._start, end) for end in ends)
-        self._forces_at_start, self._work_at_start, _ = self._contact()
+        self._forces_at_start, self._work_at_start, _ = self._contact_work()
 
-    def _contact(self) -> tuple[Array, float, float]:
-        """Return C at owned unknowns, the local sum of C'v, and the largest v. Collective."""
+    def _contact_work(self) -> tuple[Array, float, float]:
+        """Return C at owned unknowns now, and on this rank C'v and the largest v. Collective."""
         problem, multipliers = self._problem, self._problem.state.multipliers
         jumps, largest = problem.obstacles.jumps(problem.state, *self._motions)
         forces = np.array(problem.jump.whole_force(multipliers).array)
@@ -215,11 +215,11 @@ class EnergyBalance:
     def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
         """Return the released energy up to the present u, and whether bodies snap. Collective.
 
-        The energy is NaN if the `start` is not where the last solve ended, if internal forces
-        cannot be computed, or if a function of the user computes them and bodies do not move `FAR`.
+        The energy is NaN if `start`, where Newton's method began, is not where a solve ended; if
+        internal forces are unknown; or if a user's function computes them and no body moves `FAR`.
         """
         problem, tangent = self._problem, self._problem.tangent
-        forces, work, driven = self._contact()
+        forces, work, driven = self._contact_work()
         change = problem.u.x.array - self._start
         owned = change[: len(forces)]
         starts_there = self._begins_at_end and np.array_equal(start, self._start)
@@ -255,12 +255,12 @@ class Newton:
 
     Attributes:
         start: values of u at which the solve starts.
-        fraction: part of the change of load that has been applied.
+        fraction: fraction of the change of load that has been applied.
         solution: the solution for `fraction` of the change of load; if no part was solved, the
             solution of the last step; None if no step could be made.
         failure: why the last part of the load failed; empty after a success.
         cost: iterations, products and seconds of all steps; see `add_cost`.
-        level: index into `ADDED` of the last tangent.
+        level: index into `ADDED` of the last tangent, at first of the solve before.
         stuck: whether no step is possible from the present displacement, with any part of the load.
         unbalanced, flips: the attributes of `NewtonRecord`.
     """
@@ -288,11 +288,11 @@ class Newton:
         self.start = self.problem.u.x.array.copy()
 
     def run(self) -> None:
-        """Apply the change of load in parts: half after a failure, twice after a success."""
-        problem, step = self.problem, 1.0
+        """Apply the change of load in parts, halved after a failure, then doubled. Collective."""
+        problem, increment = self.problem, 1.0
         while self.fraction < 1.0:
             state = problem.state
-            fraction = min(1.0, self.fraction + step)
+            fraction = min(1.0, self.fraction + increment)
             try:
                 problem.apply_load(fraction)
                 self.failure = self._equilibrium()
@@ -300,7 +300,7 @@ class Newton:
                 self.failure = f"{fraction:.4g} of the load: {str(error).rstrip('.')}"
             if not self.failure:
                 self.fraction, self.unbalanced, self.flips = fraction, None, None
-                step *= 2.0
+                increment *= 2.0
                 if self._iteration is not None and self.fraction == 1.0:
                     self.observe(replace(self._iteration, newton=self._progress(ended=True)))
                 continue
@@ -308,17 +308,17 @@ class Newton:
             self.unbalanced = problem.unbalanced_forces()
             self.flips = problem.function_at_nodes("flips", self._flips)
             problem.return_to(state)
-            step *= 0.5
-            if self.stopped or self.stuck or step < 0.5**self.options.max_halvings:
+            increment *= 0.5
+            if self.stopped or self.stuck or increment < 0.5**self.options.max_halvings:
                 self.failure += self._diagnosis()
                 return
 
     def _diagnosis(self) -> str:
-        """Return what the steps of a failed load show, for the end of its message. Collective."""
+        """Return why the last part of the load failed, as its steps show, in words. Collective."""
         if self.stopped or self.stuck:
             return ""
         text = ". `newton.unbalanced` and `newton.flips` of the solution show where it fails"
-        # in three Newton steps or more
+        # nodes at which contact began or ended in three Newton steps or more
         (nodes,) = reduce_array(self.problem.comm, [int((self._flips > 2.0).sum())])
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
@@ -329,9 +329,9 @@ class Newton:
         return text
 
     def _equilibrium(self) -> str:
-        """Take Newton steps for a part of the load; return why they failed, or "". Collective."""
+        """Take Newton steps with the present load; return why they failed, or "". Collective."""
         problem, norm_before, number = self.problem, math.inf, 0
-        errors: list[float] = []  # of each step, divided by the requested error
+        errors: list[float] = []  # after each step, divided by the requested error
         pressed = problem.normal_forces_at_nodes() > 0.0
         self._flips = np.zeros(pressed.shape[1])
         if problem.slides_far:
@@ -398,7 +398,7 @@ class Newton:
     def _record(
         self, number: int, solution: ContactSolution, correction: float, residual: float
     ) -> None:
-        """Add a step with the present added stiffness to `steps` and `cost`. Not collective."""
+        """Add a step, and its cost, to the record that users see (`steps`). Not collective."""
         add_cost(self.cost, solution)
         springs, proximal = ADDED[self.level]
         names = [f"contact {springs:g}"] * (springs > 0.0)
@@ -412,7 +412,7 @@ class Newton:
         """Make a step's displacement the present u, and measure the step. Collective.
 
         Returns:
-            scale: the norm to which errors are relative (`NewtonStep.correction`).
+            scale: the norm to which errors are relative, see `NewtonOptions.accuracy`.
             correction, residual: numbers of `NewtonStep`, relative to the scale.
             fault: reason why the residual is NaN, if it is.
         """
@@ -440,17 +440,17 @@ class Newton:
         return NewtonProgress(number, self.problem.tangent.fraction, residual, ended)
 
     def _observed(self, iteration: Iteration) -> bool:
-        """Show an iteration of a step's contact problem to the user's observer. Collective."""
+        """Show an iteration of a contact solve to the user; return whether to stop. Collective."""
         self._iteration = replace(iteration, newton=self._progress())
         return self.observe(self._iteration)
 
     def _may_continue(self, errors: list[float]) -> bool:
         """Return whether Newton's method may take another step. Not collective.
 
-        It may take up to `max_iterations` steps, and `MAX_ITERATIONS_FACTOR` times as many if
-        bodies snap, which steps with the stiffness of the undeformed bodies show. Otherwise it may
-        go on if the error would reach the requested one within this larger number of steps, at its
-        mean rate in the second half of the steps so far. Rates are of the least errors so far,
+        The `errors` are those after each step, divided by the requested error. Allowed are
+        `max_iterations` steps, and `MAX_ITERATIONS_FACTOR` times as many if bodies snap (steps have
+        the stiffness of the undeformed bodies), or if the error, at its mean rate in the second
+        half of the steps, becomes 1 within as many. Rates are those of the least error so far,
         since Anderson's acceleration makes errors of the configuration jump up and down.
         """
         most, number = self.options.max_iterations, len(errors)
@@ -467,7 +467,7 @@ class Newton:
 
     def _step(self) -> ContactSolution:
         """Solve a contact problem with the least of `ADDED` that makes K definite. Collective."""
-        # Springs that were needed once are kept; a slow entry is followed by the one before it.
+        # Springs that were needed once are kept; after a slow level, the level below is tried.
         first_level = self.level if self.level < FIRST_SLOW else self.level - 1
         for level in range(first_level, len(ADDED)):
             try:

@@ -30,7 +30,7 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import SolverRequest, StiffnessMethod
 from dolfinx_tresca.table import Row, Units
 
-#: Rows of a solution's table that describe the quadratic problem of the last Newton step alone.
+#: Rows of the table that nonlinear bodies omit: they would describe the last Newton step alone.
 OF_LINEAR_BODIES = ("energy error", "energy")
 
 
@@ -81,16 +81,16 @@ class NonlinearContactProblem(ContactProcess):
     Constants and Functions in forms and conditions in place, as for `ContactProblem`. Multipliers
     are kept from step to step, and products with A as long as the tangent is.
 
-    If Newton's method fails, half of the change of load is tried first. This works for all kinds of
-    load, since what is removed in parts is the residual at the start of the solve. A tangent may
-    be indefinite, since it lacks the contact; springs added there do not change the solution.
+    If Newton's method fails, half of the change of load is applied first. This works for all kinds
+    of load, since the residual at the start of the solve is removed in parts. A tangent, which does
+    not contain the contact, may be indefinite; springs added in the contact change no solution.
 
     A solve starts at the present u. In a process with Coulomb friction, a solve after a solution
     that was not accepted starts at the u of the last accepted step, unless u was changed.
 
     Materials with a history, such as plastic ones, are described by two functions of the user.
     `before_assembly()` computes the stress and its tangent from the present u and the history, and
-    stores them in Functions on which F and J depend; it is called once for each u, before anything
+    stores them in Functions on which F and J depend; it is called for each new u, before anything
     is assembled. `on_accept()` makes the state at u the history; only `accept()` calls it. So a
     failed part of a load, or a trial solve, leaves the history unchanged.
 
@@ -143,11 +143,12 @@ class NonlinearContactProblem(ContactProcess):
     ) -> None:
         """Factor the tangent of the undeformed bodies, and pair the surfaces. Collective.
 
+        If `before_assembly` or `on_accept` is given, it is the tangent at the given u.
+
         Args:
             F: residual form, internal minus external forces; linear in its test function.
-            u: displacement on which F depends; the first solve starts from it. In a mixed space,
-                such as one of displacements and pressures, u has all unknowns, and Dirichlet
-                conditions must hold the bodies.
+            u: displacement on which F depends; the first solve starts from it. In a mixed space (of
+                displacement and pressure), u has all unknowns, and `bcs` must hold the bodies.
             pairs: surfaces that may touch.
             bcs: Dirichlet conditions of the total displacement, not of its change in a Newton step.
             J: derivative of F, symmetric; None: `ufl.derivative(F, u)`.
@@ -155,9 +156,8 @@ class NonlinearContactProblem(ContactProcess):
                 J from u; ghosts of u are up to date, and the function must update the ghosts of
                 other Functions. If F contains u only through these coefficients, give J.
             on_accept: function without arguments that makes the present state of the material the
-                history. An error that `before_assembly` or `on_accept` raises on one rank is raised
-                on all ranks. If the other ranks still communicate in that function after the error,
-                for example to make a `fem.Function`, they wait for ever.
+                history. An error that either function raises on one rank is raised on all ranks;
+                other ranks wait for ever if they then communicate in it (make a `fem.Function`).
             symmetrize: whether to replace J by its symmetric part, as follower loads and
                 non-associated plasticity need; Newton's method then converges linearly.
             options: options of the contact algorithm; by default a relative residual of 1e-6. The
@@ -174,7 +174,7 @@ class NonlinearContactProblem(ContactProcess):
         Raises:
             InputError: an argument is wrong.
             PairingError: the surfaces of a pair cannot be paired.
-            StiffnessError: the tangent of the undeformed bodies is not symmetric, or is indefinite.
+            StiffnessError: this tangent is not symmetric, or is indefinite.
         """
         check_type("F", F, ufl.Form, "a UFL form")
         for name, function in (("before_assembly", before_assembly), ("on_accept", on_accept)):
@@ -209,10 +209,10 @@ class NonlinearContactProblem(ContactProcess):
         self._solves = self._level = 0
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the last solve, with the tangent at its solution, for a purpose. Collective.
+        """Return the last solve, with the tangent at its solution, for derivatives. Collective.
 
         The tangent that was assembled last belongs to the iterate before the solution, so one more
-        Newton step is made. If it is long, inputs have changed since, which is an error.
+        Newton step is made. A long step shows that inputs have changed since, which is an error.
         """
         former, problem = super()._solved_for(purpose), self._contact
         if not problem.state.pending:
@@ -246,7 +246,7 @@ class NonlinearContactProblem(ContactProcess):
         return solved
 
     def _residual_at(self, u: fem.Function) -> ufl.Form:
-        return self._F  # it depends on the user's own Function
+        return self._F  # F depends on the user's own Function u, whatever Function is given
 
     @collective(comm_of_self, ignored=("observer",), extra_values=problem_to_agree)
     def solve(
@@ -267,7 +267,7 @@ class NonlinearContactProblem(ContactProcess):
             the solution; check its `status`, or call its `raise_if_failed()`. The problem's `u`
             holds the same displacement. If the status is NO_EQUILIBRIUM, the result is the
             solution for a part of the change of load; if no part could be solved, it is the
-            solution of the last Newton step, and the problem's `u` is unchanged.
+            solution of the last Newton step, and the problem's `u` is where the solve started.
 
         Raises:
             ContactError: the problem was destroyed.
@@ -318,7 +318,7 @@ class NonlinearContactProblem(ContactProcess):
         return self._contact.checked(NonlinearContactSolution(**values))
 
     def _warn_of_trouble(self, run: Newton, released: float, snaps: bool) -> None:
-        """Log that bodies snap, or that a solve took many Newton steps, if so. Not collective."""
+        """Warn if bodies have snapped, or if a solve took many Newton steps. Not collective."""
         if snaps:
             warn(
                 self.comm,
@@ -336,7 +336,7 @@ class NonlinearContactProblem(ContactProcess):
             )
 
     def _failure_message(self, run: Newton) -> str:
-        """Return why a solve reached a part of its change of load, and advice. Not collective."""
+        """Return why a solve reached only a part of its load, with advice. Not collective."""
         hint = f"Parts down to {0.5**run.options.max_halvings:.3g} of the change were tried: allow "
         hint += "smaller ones, more steps: NewtonOptions(max_halvings=..., max_iterations=...). "
         return (

@@ -1,4 +1,4 @@
-"""The interface of all contact problems: load steps, state files, operators."""
+"""The interface of all contact problems: load steps, state files, derivatives, reactions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from dolfinx_tresca.table import Row, Tabulated, Units
 
 
 def problem_to_agree(problem: ContactProcess) -> dict[str, Any]:
-    """Return by name what must be equal on all ranks, besides arguments. Not collective."""
+    """Return what `collective` compares between ranks besides arguments. Not collective."""
     return {
         "options of the problem": problem.options,
         "newton of the problem": getattr(problem, "newton", None),
@@ -58,7 +58,7 @@ def check_options(options: Any) -> None:
 
 
 class ContactProcess(PetscOwner, Tabulated):
-    """A contact problem with a process, a sequence of load steps: solves, steps, state files.
+    """Base class of linear and nonlinear problems: load steps, state files, derivatives.
 
     Attributes:
         comm: the communicator of the mesh.
@@ -79,7 +79,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self.pairs: list[ContactPair] = checked_pairs(pairs)
 
     def _take(self, contact: ContactSystem) -> None:
-        """Take the discretised problem. Not collective."""
+        """Keep the discretised problem, and show some of its attributes. Not collective."""
         self._contact = contact
         self.comm, self.mesh = contact.comm, contact.linear.V.mesh
         self.prescribed: Mask = contact.linear.prescribed
@@ -130,7 +130,7 @@ class ContactProcess(PetscOwner, Tabulated):
         self._contact.destroy()
 
     def forget(self) -> None:
-        """Drop the multipliers and products of earlier solves: the next solve starts from zero.
+        """Drop multipliers and products of earlier solves; the next starts from zero multipliers.
 
         Accepted load steps stay: the slip still counts from the last accepted step. Not collective.
         """
@@ -142,10 +142,10 @@ class ContactProcess(PetscOwner, Tabulated):
     def accept(self, *, unconverged: bool = False) -> None:
         """Make the last solution a load step, from which the slip of later solutions counts.
 
-        Collective. After this call, each `solve()` minimises 1/2 u'K u - f'u + sum of g |T u - s|,
-        where s is the slip T u of the last accepted step. A solution that is not accepted leaves no
-        trace: try another load instead. If slip bounds depend on the pressure, a solution may
-        depend on where the solve starts; so each solve after the first accepted step starts there.
+        Collective. After this call, friction resists T u - s, where the slip origin s is T u in the
+        accepted step: linear bodies minimise 1/2 u'K u - f'u + sum of g |T u - s|. A solution that
+        is not accepted has no effect on later ones. If slip bounds depend on the pressure, a
+        solution may depend on where its solve starts; so solves start at the last accepted step.
         Nodes that stick keep their s, so that residuals do not add up from step to step.
 
         Args:
@@ -232,7 +232,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 slip of the nearest point of the same pair there, or zero where no point is near.
 
         Raises:
-            InputError: the numbers of pairs or the dimensions differ, or a pair has finite sliding.
+            InputError: pairs or dimensions differ; finite sliding, given forces or a preload.
             ConvergenceError: the solution did not converge.
         """
         dim = self.mesh.geometry.dim
@@ -261,9 +261,9 @@ class ContactProcess(PetscOwner, Tabulated):
     ) -> None:
         """Write the state of the process to a file, for `load_state` in another run. Collective.
 
-        The file holds the multipliers, the slip and the dissipation of the accepted steps, the
-        displacement u of nonlinear bodies, and the displacement of the last `update_geometry`, but
-        neither loads nor products with A. An interrupted write leaves the previous file unchanged.
+        The file holds the multipliers, the slip and the dissipation of the accepted steps, u of
+        nonlinear bodies, the places of obstacles, and the displacements at which surfaces are
+        paired, but no loads or products with A. An interrupted write leaves the previous file.
 
         Args:
             path: path of the file; the first rank's value counts.
@@ -366,7 +366,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 `ufl.action(L, solution.u)`.
             controls: Constants and Functions that occur in the forms, in the values of Dirichlet
                 conditions, in the gap of a pair, or in a slip bound, a coefficient of friction or
-                its limit, if friction is the same in all directions; and Constants that a Python
+                its limit, if these are the same in all directions; and Constants that a Python
                 function reads, such as a friction curve or the signed distance of an obstacle. A
                 derivative with respect to the coordinates of the mesh is not available.
 
@@ -415,7 +415,7 @@ class ContactProcess(PetscOwner, Tabulated):
         return goals.tangent_of(data, self._contact.secondary, controls, directions)
 
     def _data_of_solution(self, controls: Sequence[Any]) -> DataOfSolution:
-        """Return the data of the last solution, to differentiate them by controls. Collective."""
+        """Return the data of the last solution, ready for derivatives by controls. Collective."""
         self._check_pairing_fixed()
         solved = self._solved_for("a derivative")
         self._contact.check_inputs("a derivative")
@@ -443,7 +443,7 @@ class ContactProcess(PetscOwner, Tabulated):
                 points at which these forces act.
 
         Raises:
-            ContactError: there is no solution, or loads have changed since.
+            ContactError: there is no solution, it has not converged, or loads have changed since.
             InputError: the tag or the condition is unknown, nothing holds the bodies there, or the
                 forms are on a mixed space.
 
@@ -478,7 +478,7 @@ class ContactProcess(PetscOwner, Tabulated):
             )
 
     def _solved_for(self, purpose: str) -> StepSolution:
-        """Return the last solve, with K at its displacement, for a purpose. Collective."""
+        """Return the last solve, with K at its solution; errors name the purpose. Collective."""
         contact = self._contact
         contact.obstacles.check_no_tools(purpose)
         if contact.linear.component is not None:

@@ -36,8 +36,8 @@ class TangentSystem(LinearSystem):
     Here R are internal minus external forces, and h takes back what of the load is not applied yet.
 
     Added stiffness, which makes an indefinite tangent definite, acts on u - u_k only, so the
-    solution of a converged iteration does not depend on it. Its springs in the contact have forces
-    beside, which vanish there where contact holds.
+    solution of a converged iteration does not depend on it. Springs in the contact also exert the
+    forces `added_forces` on the bodies, which are zero at nodes where contact holds.
 
     A continuation parameter t goes from 0 to 1. The prescribed values go linearly from their values
     at the start of the solve to the present values, and h = (1 - t) r_0 contains the residual r_0
@@ -48,7 +48,7 @@ class TangentSystem(LinearSystem):
         has_material: whether a function of the user computes coefficients of the forms.
         added: the `PETSc.Mat` that the next `assemble_stiffness` adds to the tangent, zero in
             prescribed rows and columns, owned by the caller; None: nothing is added.
-        added_forces: forces [force] at owned unknowns that are added to the load.
+        added_forces: forces [force] of the added springs at owned unknowns, a part of the load.
         fraction: the continuation parameter t.
     """
 
@@ -87,7 +87,7 @@ class TangentSystem(LinearSystem):
         self.added: PETSc.Mat | None = None
         self.added_forces: Array | float = 0.0
         self.fraction = 1.0
-        self._tangent = self.K  # without what is `added`, then another matrix than K
+        self._tangent = self.K  # the tangent alone: with `added` stiffness, another matrix than K
         self._prescribed_before: Array = np.zeros(int(self.prescribed.sum()))
         self._initial_residual: Array = np.zeros(len(self.prescribed))
 
@@ -179,8 +179,8 @@ class TangentSystem(LinearSystem):
     def assemble_load(self) -> None:
         """Assemble the load of the step from u_k, for the present `fraction`. Collective.
 
-        Forces are zero where all are rounding of the terms that cancel in them: else unloaded
-        linear bodies would shrink from step to step until squares of numbers underflow.
+        If all forces are rounding errors of the terms whose sums they are, they are set to zero:
+        else unloaded linear bodies would shrink step by step until squares of numbers underflow.
         """
         values, u = self.prescribed_values(), np.array(self.u.x.array[: len(self.prescribed)])
         terms = np.abs(self.K.getDiagonal().array * u)
@@ -219,13 +219,13 @@ class TangentProblem(ContactSystem):
         request: SolverRequest,
     ) -> None:
         """Factor the reference tangent, and pair the surfaces. Collective."""
-        # the reference tangent is the tangent of the undeformed bodies; if the material has a
-        # history, it is the tangent at the displacement from which the present solve starts
+        # the reference tangent, whose multiples `factor` adds, is that of the undeformed bodies; if
+        # the material has a history, that at the displacement from which the present solve starts
         self.tangent, self.u, self._on_accept = tangent, tangent.u, on_accept
         self._has_history = tangent.has_material or on_accept is not None
         u = self.u.x.array
         self._reference = u.copy() if self._has_history else np.zeros_like(u)
-        self._reference_block: PETSc.Mat | None = None  # block of displacements, without conditions
+        self._reference_block: PETSc.Mat | None = None  # for `energy_norm`, without conditions
         with replaced([self.u], [self._reference]):
             if tangent.component is not None:
                 tangent.update_material()
@@ -268,8 +268,8 @@ class TangentProblem(ContactSystem):
     def factor(self, springs: float = 0.0, proximal: float = 0.0) -> None:
         """Assemble and factor the tangent at the present u_k with added stiffness. Collective.
 
-        This is the stiffness of `springs` that hold nodes in contact, relative to the stiffness of
-        a single node of the reference tangent, and the reference tangent times `proximal`.
+        Springs hold nodes in contact, with `springs` times the stiffness of a single node in the
+        reference tangent. If they are added, so is the reference tangent times `proximal`.
         """
         self.tangent.update_material()
         if springs == proximal == 0.0 and self._tangent_is_plain and not self.tangent.outdated:
@@ -291,9 +291,9 @@ class TangentProblem(ContactSystem):
     def _contact_springs(self, factor: float) -> tuple[PETSc.Mat, Array]:
         """Return the stiffness B_a'C B_a of springs and their forces; B_a are rows in contact.
 
-        The springs pull to the jumps t that contact prescribes, the gap and the slip origin, with
-        the forces B_a'C (t - B_a u_k), which vanish where contact holds. The factor is the
-        stiffness C of a spring relative to the stiffness of the row's node. Collective.
+        The springs pull to the jumps j that contact prescribes, the gap and the slip origin, with
+        forces B_a'C (j - B_a u_k) at owned unknowns, zero where contact holds. The stiffness C of
+        a spring is the factor times the stiffness of the row's node. Collective.
         """
         jump, tangent = self.jump, self.tangent
         u = fem.Function(tangent.space)
@@ -307,12 +307,12 @@ class TangentProblem(ContactSystem):
         columns.array = np.where(tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)  # C^(1/2) B_a, zero in prescribed columns
         springs = B.transposeMatMult(B)
-        rows.array *= missing  # C^(1/2) (t - B_a u_k)
+        rows.array *= missing  # C^(1/2) (j - B_a u_k)
         B.multTranspose(rows, columns)
         return springs, np.array(columns.array)
 
     def _nodal_stiffness(self) -> Array:
-        """Return the stiffness (size,) of each row's node in the reference tangent. Collective."""
+        """Return each row's `local_stiffness` (size,) in the reference tangent. Collective."""
         jump = self.jump
         if self._stiffness_for is None or self._stiffness_for[0] is not jump:
             with replaced([self.u], [self._reference]):
@@ -323,9 +323,9 @@ class TangentProblem(ContactSystem):
     def _rows_in_contact(self) -> Mask:
         """Return a mask (size,) of the rows of B in contact at the present u_k. Collective.
 
-        They are normal rows of pressed nodes, tangential rows of sticking nodes (with the bounds of
-        the present pressures, and curves of friction at zero slip) and all rows of bonded pairs, or
-        without any multipliers normal rows of nodes that touch.
+        In contact are all rows of bonded pairs, normal rows of pressed nodes, and tangential rows
+        of sticking nodes (with the bounds of the present pressures, and curves of friction at zero
+        slip). If all multipliers are zero, nodes that touch count as pressed, and none as sticking.
         """
         jump, multipliers = self.jump, self.state.multipliers
         section = jump.bounded(self.slip_bounds()).section(multipliers)
@@ -354,7 +354,7 @@ class TangentProblem(ContactSystem):
         return stiffness
 
     def begin(self) -> None:
-        """Return to the accepted state, and align the rows of B for all steps. Collective."""
+        """Go to the state in which a solve starts; note where obstacles move in it. Collective."""
         before = self.state.motions
         self.begin_solve()
         accepted = self.state.accepted
@@ -362,7 +362,7 @@ class TangentProblem(ContactSystem):
         same = u is not None and np.array_equal(u.x.array, self.displacement.x.array)
         if self.comm.allreduce(same, op=MPI.LAND):
             before = accepted.motions  # a trial may have left obstacles elsewhere
-        self._places = before, self.obstacles.motions  # at the start and at the end of the solve
+        self._motions = before, self.obstacles.motions  # at the start and at the end of the solve
         self._loads_in_parts = False
         self.tangent.forget_material()  # the caller may have changed the material's history
         if not self.tangent.has_material:
@@ -374,7 +374,7 @@ class TangentProblem(ContactSystem):
     def apply_load(self, fraction: float) -> None:
         """Apply a fraction of the change of load, and of the motion of obstacles. Collective.
 
-        Obstacles are at the end of their motion until a fraction below 1 is tried, from the start.
+        The first fraction below 1 puts obstacles back where their motion starts, to find r_0 there.
         """
         if fraction < 1.0 and not self._loads_in_parts:
             self._place_obstacles(0.0)
@@ -386,25 +386,25 @@ class TangentProblem(ContactSystem):
 
     def _place_obstacles(self, fraction: float) -> None:
         """Apply a fraction of the motion of obstacles, and pair the surfaces. Collective."""
-        if not np.array_equal(*self._places):
+        if not np.array_equal(*self._motions):
             obstacles = self.obstacles
-            obstacles.place(obstacles.between(*self._places, fraction))
+            obstacles.place(obstacles.between(*self._motions, fraction))
             self.pair_where_changed()
 
     def end_load(self) -> None:
         """Return rigid obstacles to the positions that the user gave. Not collective."""
-        self.obstacles.place(self._places[1])
+        self.obstacles.place(self._motions[1])
 
     def residual_norm(self) -> float:
         """Return |R(u_k) + B'lambda - h|_{K^-1}, see `TangentSystem`; NaN: not finite. Collective.
 
-        The tangent K is the one of the previous step, so this is the energy norm of a simplified
-        Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
+        The tangent K is that of the step which led to u_k, so this is the energy norm of a
+        simplified Newton correction (Deuflhard 2011, Newton methods for nonlinear problems, 2.1.1).
         """
         return self.norm_of_correction(self.tangent.residual(self.contact_forces()))
 
     def norm_of_correction(self, forces: Array) -> float:
-        """Return |K^-1 F|_K for forces F [force] at owned unknowns; NaN: not finite. Collective."""
+        """Return |K^-1 p|_K for forces p [force] at owned unknowns; NaN: not finite. Collective."""
         force = self.jump.matrix.createVecRight()
         force.array = forces
         if not np.isfinite(force.norm()):
@@ -418,12 +418,12 @@ class TangentProblem(ContactSystem):
         return math.sqrt(max(float(force.dot(motion)), 0.0))
 
     def is_large(self, error: float, *displacements: Array) -> bool:
-        """Return whether an error exceeds rounding and `ROUGH` of all `energy_norm`s, or is NaN."""
+        """Return whether an error norm is above rounding and `ROUGH` of others. Collective."""
         limit = max(ROUGH * max(map(self.energy_norm, displacements)), self.rounding_norm())
-        return bool(self.comm.bcast(not error <= limit))
+        return bool(self.comm.bcast(not error <= limit))  # True for NaN
 
     def rounding_norm(self) -> float:
-        """Return the size of rounding errors of R(u_k), in `norm_of_correction`. Collective.
+        """Return the `norm_of_correction` of the rounding errors of R(u_k). Collective.
 
         It is `ROUNDING` sqrt(n u_k'D u_k + |X|_K^2), with the diagonal D of K in rows of
         displacements, the mean number n of entries in a row, and X, `_position`. A force is the sum
@@ -446,7 +446,7 @@ class TangentProblem(ContactSystem):
         return with_owned_values(V, (x - middle)[: nodes.size_local])
 
     def unbalanced_forces(self) -> fem.Function:
-        """Return R(u_k) + B'lambda - h [force] at nodes, NaN without stresses. Collective."""
+        """Return R(u_k) + B'lambda - h [force] at nodes, NaN if R is not known. Collective."""
         try:
             residual = self.tangent.residual(self.contact_forces())
         except StiffnessError:  # the user's function has no stresses here
@@ -455,7 +455,7 @@ class TangentProblem(ContactSystem):
         return self.tangent.displacement(forces, "unbalanced")
 
     def function_at_nodes(self, name: str, values: Array) -> fem.Function:
-        """Return a scalar Function with values at owned nodes of the displacement. Collective."""
+        """Return a scalar Function with the values (owned nodes of u,) and a name. Collective."""
         space, dofs = collapse(self.tangent.V.sub(0))
         owned = dofs[: space.dofmap.index_map.size_local]
         return with_owned_values(space, values[owned // self.tangent.V.dofmap.bs], name)
@@ -464,8 +464,8 @@ class TangentProblem(ContactSystem):
         """Return sqrt(v'K v) for the values of v on this rank, with ghosts. Collective.
 
         K is the tangent that was assembled last. In a mixed space it is the block of displacements
-        at the start of the solve: that of a later tangent may be indefinite for displacements that
-        change the volume. An error of the other unknowns alone is gone after one step.
+        of the first reference tangent: that of a later tangent may be indefinite for displacements
+        that change the volume. An error of the other unknowns alone is gone after one step.
         """
         v = fem.Function(self.tangent.space)
         v.x.array[:] = values
