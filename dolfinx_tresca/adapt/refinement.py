@@ -31,8 +31,8 @@ from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 
 #: Least squared error that a marked cell may have, divided by the least that Doerfler's marking
 #: needs. The limit is in the widest gap between errors of this range, so that rounding, and what
-#: iterative solvers leave, hardly change the marked cells: meshes of symmetric scenes stay symmetric,
-#: and do not depend on the number of ranks. A smaller number widens the gap, and marks more cells.
+#: iterative solvers leave, hardly change the marked cells: symmetric scenes get symmetric meshes,
+#: which do not depend on the number of ranks. A smaller number widens the gap and marks more cells.
 NEARLY = 0.8
 
 

@@ -125,7 +125,7 @@ class Bodies:
         coefficients = 2.0 * np.swapaxes(bernstein(w.x.array.reshape(-1, d)[cells.nodes]), 2, 3)
         slopes = coefficients.reshape(n, corners * d, corners) @ cells.gradients
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
-        return cells.stress_loading(stresses.reshape(n, corners, d, d))
+        return cells.to_loading(stresses.reshape(n, corners, d, d))
 
     def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:
         """Return the displacement that nodal forces alone cause, by a solve with K. Collective."""

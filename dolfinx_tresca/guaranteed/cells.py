@@ -143,7 +143,7 @@ class Simplices:
         factors = np.sqrt(factors) * ([POINCARE[self.d]] + (self.d + 1) * [TRACE[self.d]])
         return np.asarray((squares[:, -1] / np.sqrt(squares[:, 0]))[:, None] * factors)
 
-    def stress_loading(self, stress: Array) -> Array:
+    def to_loading(self, stress: Array) -> Array:
         """Return the loading of linear stresses, which are given at vertices (n, d + 1, d, d)."""
         products = np.einsum("nkab,njb->njka", stress, self.normals)
         tractions = products[:, np.arange(self.d + 1)[:, None], facet_vertices(self.d)]

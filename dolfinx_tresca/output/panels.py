@@ -305,8 +305,7 @@ def draw_bodies(
 ) -> None:
     """Draw bodies with a magnified displacement, contact curves of 2D, and rigid obstacles.
 
-    The first field of `volume` is the displacement. If the `scale`, by which it is multiplied, is
-    None, `magnification` chooses it. `length` names the unit of length.
+    Without a `scale` of displacements, `magnification` chooses it. `length` names the unit.
     """
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2

@@ -140,8 +140,8 @@ def compose(
 def display_for_pictures() -> Iterator[None]:
     """Let VTK render within a `with` block, also without a display.
 
-    On Linux without a display, VTK 9.5 and later render through EGL, if the system has it. Without
-    both, rendering would end in a segmentation fault: so Xvfb, an X server, is started.
+    On Linux without a display, VTK 9.5 and later render through EGL if the system has it.
+    Otherwise VTK would end in a segmentation fault: for this case Xvfb, an X server, is started.
     """
     import pyvista
 

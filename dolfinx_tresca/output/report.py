@@ -107,7 +107,7 @@ class ProblemSummary:
         return cls(dofs, free_dofs, contact_nodes, size_rows, tuple(texts))
 
     def rows(self, units: Units | None) -> list[Row]:
-        """Return the rows of the printed table: the sizes, then a row for each of the first pairs."""
+        """Return the rows of the printed table: the sizes, then rows of the first pairs."""
         pair_rows = [
             ("  pair", f"{pair}, " + f"{with_unit(gap, units, 'length')}, " * bool(gap) + f"{law}")
             for pair, gap, law in self.pairs
@@ -258,7 +258,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
 
 
 def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
-    """Return a heading, and a row for each step, with the forces of the last step's bolts, too."""
+    """Return a heading, and a row for each step with the bolts and supports of the last step."""
     bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
     rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
     for number, step in enumerate(solutions, start=1):
@@ -271,7 +271,7 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
 
 
 def force_graph(solution: Any) -> str:
-    """Return an SVG with bodies as dots and forces as lines; "" without forces or for many bodies."""
+    """Return an SVG, bodies as dots, forces as lines; "" without forces or for many bodies."""
     names = [*solution.body_names, "rigid obstacles"]
     forces = {bodies: resultant.force for bodies, resultant in solution.between_bodies.items()}
     # the force of obstacles on a body is the whole contact force minus forces of other bodies

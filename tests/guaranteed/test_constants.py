@@ -229,7 +229,7 @@ def test_linear_stresses_are_in_the_element(d):
     linear = rng.standard_normal((5, d + 1, d, d))
     linear += np.swapaxes(linear, 2, 3)
     squares = np.einsum("kl,nkab,nlab->n", mean_products(d + 1, 2), linear, linear)
-    assert np.allclose(energies.squared_norms(cells.stress_loading(linear)), squares * cells.volumes)
+    assert np.allclose(energies.squared_norms(cells.to_loading(linear)), squares * cells.volumes)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -249,5 +249,5 @@ def test_stresses_of_the_element_do_the_work_of_their_data(d):
     loading += np.tensordot(size, loads, axes=1)
     slope = rng.standard_normal((d, d))
     work = (cells.resultants(loading) * (cells.points @ slope.T)).sum()
-    strain = cells.stress_loading(np.broadcast_to(0.5 * (slope + slope.T), (1, d + 1, d, d)))
+    strain = cells.to_loading(np.broadcast_to(0.5 * (slope + slope.T), (1, d + 1, d, d)))
     assert np.isclose((strain * energies.derivative(loading)).sum(), work)
