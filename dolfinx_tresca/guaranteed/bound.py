@@ -47,7 +47,7 @@ class GuaranteedError:
         relative_error: `error` divided by |u|; infinite if u is zero.
         cell_errors: a value of each cell [energy^(1/2)], for `refine`. The root of the sum of their
             squares is at least `error`, and hardly larger if `lift` and contact's terms are small.
-        stress: |s - s(v)|, of a stress s in equilibrium and that of v, see `lift` [energy^(1/2)].
+        stress: |s - s(v)| for a stress s in equilibrium and the stress of v [energy^(1/2)].
         oscillation: root of the sum of squares of what loads add that are not linear in cells or on
             facets, since s balances only their linear projections [energy^(1/2)].
         complementarity: integral of the pressure times the gap that v leaves [energy].

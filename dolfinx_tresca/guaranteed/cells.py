@@ -34,7 +34,7 @@ TRACE = {2: 1.522, 3: 4.473}
 
 @cache
 def mean_products(corners: int, factors: int) -> Array:
-    """Return the mean in a simplex of lambda_i lambda_j ... at [i, j, ...], for so many factors."""
+    """Return the mean of lambda_i lambda_j ... in a simplex at [i, j, ...] (`factors` axes)."""
     index = np.indices((corners,) * factors)
     result = np.full(index.shape[1:], factorial(corners - 1) / factorial(corners - 1 + factors))
     for k in range(1, factors):  # the factorial of each power
@@ -73,7 +73,7 @@ def lagrange(corners: int) -> tuple[Array, Array, Array]:
 
 @cache
 def symmetric(d: int) -> Array:
-    """Return an orthonormal basis (d * d, k) of symmetric matrices, with k = d (d + 1) / 2."""
+    """Return an orthonormal basis (d * d, k) of matrices like stresses, with k = d (d + 1) / 2."""
     # transposition has the eigenvalues -1, of antisymmetric matrices, and 1, in this order
     transposed = np.swapaxes(np.eye(d * d).reshape(d, d, -1), 0, 1).reshape(d * d, -1)
     return np.asarray(np.linalg.eigh(transposed)[1][:, d * (d - 1) // 2 :])
@@ -95,7 +95,7 @@ def rigid_motions(arms: Array) -> Array:
 
 
 class Simplices:
-    """Simplices with d + 1 vertices.
+    """The shapes of n simplices with d + 1 vertices, whether they belong to a mesh or not.
 
     Attributes:
         points: (n, d + 1, d) the vertices [length].
@@ -130,9 +130,9 @@ class Simplices:
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
 
-        From displacements w their nearest linear function is taken off. `POINCARE` is multiplied by
-        s^2 / t [length], with the largest and the least singular value s and t of a matrix, whose
-        columns are the edges of a path through all vertices; the path with least squares is taken.
+        w is any displacement minus its nearest linear function. `POINCARE` is multiplied by s^2 / t
+        [length], with the largest and the least singular value s and t of the matrix whose columns
+        are the edges of a path through all vertices: the path with the least sum of squares.
         """
         paths = list(permutations(range(self.d + 1)))
         steps = np.diff(self.points[:, paths], axis=2)
@@ -152,7 +152,7 @@ class Simplices:
 
 
 def _regular_frame(d: int) -> Array:
-    """Return the matrix (d, d) whose columns are the edges at a vertex of the regular simplex."""
+    """Return the matrix (d, d) of the edges at a vertex, its columns, of a regular simplex."""
     return np.asarray(np.linalg.cholesky(0.5 * (np.eye(d) + 1.0)).T)
 
 
