@@ -274,7 +274,7 @@ def solve_adaptively(
             The patch of a `MeanPressure` or `MeanSlip` needs a contact node on the first mesh.
         fraction: part of the sum of squared errors that the cells to be cut have together; see
             `refine`.
-        max_dofs: approximate limit for `free_dofs` of a refined mesh: no problem is made on larger.
+        max_dofs: approximate limit for `free_dofs`: no refined mesh that is larger gets a problem.
         max_levels: limit for the number of meshes.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this
             solution (`ContactProblem.continue_from`).
