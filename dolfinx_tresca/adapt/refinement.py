@@ -29,10 +29,10 @@ from dolfinx_tresca.scene.geometry import (
 )
 from dolfinx_tresca.scene.mesh import NamedTags, TaggedMesh
 
-#: Least squared error of a marked cell, divided by the least that Doerfler's marking needs. The
-#: errors of marked cells end in the widest gap of this range, so that rounding, and what iterative
-#: solvers leave, hardly change the marked cells: the mesh of a symmetric scene stays symmetric, and
-#: is the same on any number of ranks. With a smaller number the gap is wider, and more are marked.
+#: Least squared error that a marked cell may have, divided by the least that Doerfler's marking
+#: needs. The limit is in the widest gap between errors of this range, so that rounding, and what
+#: iterative solvers leave, hardly change the marked cells: symmetric scenes get symmetric meshes,
+#: which do not depend on the number of ranks. A smaller number widens the gap and marks more cells.
 NEARLY = 0.8
 
 
@@ -46,11 +46,11 @@ def refine(
     leave no hanging nodes. (With the longest edges of tetrahedra alone, two bricks of degree 2 take
     1.4 to 1.9 times as long, and with degree 1 two thirds of the time.) New cells and facets have
     the tags of those that contain them. The new mesh is partitioned anew, with ghost cells if the
-    old mesh, which stays as it is, had some. It is the same on any number of ranks but for numbers.
+    old mesh has some; the old mesh stays as it is. Only numberings depend on the number of ranks.
 
-    Nodes of facets whose curved surface `tagged_mesh.geometry` knows move to the nearest points of
-    this surface, with `read_gmsh` by projections of Gmsh, which opens the file again on each rank.
-    New nodes on other facets stay on the old flat facets. For other curved surfaces, or none::
+    Nodes of facets whose tag is in `tagged_mesh.geometry` move to the nearest points of its curved
+    surface; with `read_gmsh`, Gmsh opens its file again on each rank, and finds these points. New
+    nodes on other facets stay on the old flat facets. To give other curved surfaces::
 
         surfaces = {tagged_mesh.tags["ball"]: on_ball}  # function from points (3, n) to (3, n)
         tagged_mesh = dataclasses.replace(tagged_mesh, geometry=surfaces)
@@ -61,7 +61,7 @@ def refine(
             `ContactSolution.cell_errors`, better after `refinement_indicators`; or the values (n,)
             of the cells that this rank owns.
         fraction: part of the sum of squared errors, in (0, 1]: the fewest cells that have this part
-            together are refined. With 1 all edges of all cells are bisected.
+            together are refined, with 1 all cells whose error is not zero or rounding.
 
     Raises:
         InputError: an argument is wrong, the mesh has cells that cannot be bisected, or the
@@ -105,9 +105,9 @@ def refine(
 
 
 class Bisection(NamedTuple):
-    """The cells into which bisection cuts the cells of a mesh, on the ranks of these.
+    """The n new cells on this rank, into which bisection cuts its cells; they carry tags over.
 
-    Cells have the dimension d, and their facets the order of the opposite corners.
+    Cells have the dimension d. Facet i of a cell is opposite to its corner i.
 
     Attributes:
         mesh: the mesh of the new cells.
@@ -123,9 +123,9 @@ class Bisection(NamedTuple):
     parent_facets: LocalNumbers
 
     def inherited(self, tags: Any) -> tuple[Indices, LocalNumbers]:
-        """Return nodes (m, k) and tags (m,) of the new cells, or facets, in tagged old ones.
+        """Return corners (m, k) and tags (m,) of all new cells, or facets, in tagged old ones.
 
-        A facet between two cells occurs twice.
+        `tags` are MeshTags of the old mesh. A facet between two cells occurs twice.
         """
         # (sides, d + 1): a cell itself has all corners, its facet i has all but corner i
         corners: Mask
@@ -145,9 +145,9 @@ def bisected(mesh: Any, marked: Mask) -> Bisection:
     """Bisect all edges of marked cells (owned cells,), and further edges as needed. Collective.
 
     DOLFINx uses the method of Plaza and Carey (2000, Local refinement of simplicial grids based on
-    the skeleton): angles stay away from zero after any number of bisections. Among edges of equal
-    length, it cuts the first one in the numbering of a rank, which depends on the partition: the
-    mesh of simplices is stretched meanwhile, in the same way for any partition.
+    the skeleton): angles stay away from zero after any number of bisections. Among longest edges of
+    equal length, it cuts the first in the numbering of a rank, which depends on the partition. So
+    the mesh is stretched a little while it is cut, which makes lengths differ on any partition.
     """
     dim = mesh.topology.dim
     mesh.topology.create_entities(1)
@@ -167,7 +167,7 @@ def bisected(mesh: Any, marked: Mask) -> Bisection:
     finally:
         x[:] = before
     fine.geometry.x[:, :dim] = np.linalg.solve(stretch.T, fine.geometry.x[:, :dim].T).T
-    # both have the order of the cells before DOLFINx renumbered them
+    # `parent` and `parent_facet` have the order of new cells before DOLFINx renumbered them
     count = len(parent)
     order = np.asarray(fine.topology.original_cell_index)[:count]
     order = order - sum(mesh.comm.allgather(count)[: mesh.comm.rank])
@@ -181,10 +181,10 @@ def bisected(mesh: Any, marked: Mask) -> Bisection:
 def snapped(
     bisection: Bisection, facets: Indices, tags: LocalNumbers, surfaces: Mapping[int, ExactSurface]
 ) -> Array:
-    """Return the nodes (n, 3), with nodes of facets (m, d) moved to their surfaces. Collective.
+    """Return points (nodes, 3) of the new mesh, on curved surfaces as far as possible. Collective.
 
-    `tags` (m,) are those of the facets, `surfaces` tag -> exact surface. Nodes of several surfaces
-    are moved to each in turn. Nodes of cells that would become flat do not move.
+    Nodes of `facets` (m, d) move to the surface in `surfaces` of their tag in `tags` (m,), those of
+    several surfaces to each in turn. Nodes of cells that would become flat do not move.
     """
     mesh, moved = bisection.mesh, bisection.mesh.geometry.x.copy()
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
@@ -200,8 +200,8 @@ def snapped(
     return _without_flat_cells(bisection, moved)
 
 
-def _without_flat_cells(bisection: Bisection, surface: Array) -> Array:
-    """Return the nodes (n, 3) on surfaces; those of flat or inverted cells stay in place.
+def _without_flat_cells(bisection: Bisection, projected: Array) -> Array:
+    """Return `projected` points (nodes, 3), but nodes of flat or inverted cells stay in place.
 
     Collective. A warning has their number; the next refinement, with smaller cells, tries again.
     """
@@ -212,17 +212,17 @@ def _without_flat_cells(bisection: Bisection, surface: Array) -> Array:
         sides = points[cells[:, 1:]] - points[cells[:, :1]]
         return np.asarray(np.linalg.det(sides[:, :, :dim]))
 
-    # hold the corners of such cells in place, which may make others flat, until there are none
+    # hold corners of cells that lose 0.9 of their volume, which may flatten others, until none does
     held: Mask = np.zeros(len(start), dtype=np.bool_)
-    points, before = surface, volumes(start)
+    points, before = projected, volumes(start)
     while True:
         flat = cells[np.sign(before) * volumes(points) < 0.1 * np.abs(before)]
         corners = summed_at_nodes(index_map, flat, np.ones((*flat.shape, 1)))[:, 0] > 0.0
         if reduce_array(comm, (corners & ~held).sum()) == 0:
             break
         held |= corners
-        points = np.where(held[:, None], start, surface)
-    not_moved = held & (surface != start).any(axis=1)
+        points = np.where(held[:, None], start, projected)
+    not_moved = held & (projected != start).any(axis=1)
     count = int(reduce_array(comm, not_moved[: index_map.size_local].sum()))
     if count:
         warn(
@@ -235,13 +235,13 @@ def _without_flat_cells(bisection: Bisection, surface: Array) -> Array:
 
 
 def cells_to_refine(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
-    """Mark the fewest cells whose squared errors sum up to a given part of the total. Collective.
+    """Mark the fewest cells whose squared errors sum up to the part `fraction` of all. Collective.
 
     This is the marking of Doerfler (1996, A convergent adaptive algorithm for Poisson's equation),
-    but cells whose errors nearly equal the least marked error are marked, too (`NEARLY`). Every
-    rank gets the errors of all cells, 8 bytes each, and marks those of its own, (n,).
+    but cells whose errors nearly equal the least marked error are marked, too (`NEARLY`). `squares`
+    and the result (n,) are of the rank's own cells. Every rank gathers all, 8 bytes for each cell.
     """
-    above = 1.0 + 1e-9  # beyond a squared error by more than rounding
+    above = 1.0 + 1e-9  # factor that takes a squared error or sum beyond its rounding
     descending = np.sort(np.concatenate(comm.allgather(squares)))[::-1]
     sums = np.cumsum(descending)
     least = descending[np.argmax(sums * above >= fraction * sums[-1])]
@@ -249,7 +249,7 @@ def cells_to_refine(comm: MPI.Comm, squares: Array, fraction: float) -> Mask:
     near = descending[(descending >= NEARLY * least) & (descending <= least * above)][::-1]
     below = np.append(NEARLY * least, near[:-1])
     gap = np.argmax(near / below)
-    return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))  # its geometric mean
+    return np.asarray(squares > np.sqrt(below[gap]) * np.sqrt(near[gap]))  # the gap's middle
 
 
 def check_tagged_mesh(tagged_mesh: Any) -> None:
@@ -310,8 +310,8 @@ def checked_cell_errors(mesh: Any, cell_errors: Any) -> Array:
 def _distributed_tags(mesh: Any, old: Any, entities: GlobalNumbers, values: LocalNumbers) -> Any:
     """Return tags of a refined mesh, on the ranks that have the entities. Collective.
 
-    The names are those of the `old` tags. Each rank gives some of the entities (n, nodes), whoever
-    owns them, and their values (n,). Nodes have the numbers with which `create_mesh` got the cells.
+    Names are those of the `old` tags. Each rank gives n tagged entities, whoever owns them, by the
+    numbers of their nodes (n, k) with which `create_mesh` got the cells, and their values (n,).
     """
     mesh.topology.create_connectivity(old.dim, 0)
     mesh.topology.create_connectivity(old.dim, mesh.topology.dim)

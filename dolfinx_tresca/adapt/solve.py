@@ -40,7 +40,7 @@ from dolfinx_tresca.table import Row, Tabulated
 
 @dataclass(frozen=True)
 class Level:
-    """One of the meshes, and the solution on it.
+    """A mesh of `solve_adaptively`, the solution on it, and the estimated error of the mesh.
 
     Attributes:
         number: number of the mesh; the first is 0.
@@ -50,11 +50,11 @@ class Level:
         error: estimate of the mesh's error: in the energy norm, relative to the solution's norm,
             or, with a goal, the relative error of the goal; infinite if unknown. A goal that does
             not depend on the displacement, such as the pressure on a patch that is open on this
-            mesh, tells nothing about the mesh: then it is the error in the energy norm.
+            mesh, tells nothing about the mesh: then the error is that in the energy norm.
         cell_errors: errors of the cells, after `refinement_indicators`; None if unknown.
         products: number of applications of A in all solves on the mesh, adjoint ones included.
-        seconds: time for building, solving and refining on the slowest rank.
-        goal_error: the goal and its error; None without a goal.
+        seconds: time on the slowest rank for building, solving and, after the observer, refining.
+        goal_error: the goal and its error; None without a goal, or if the solve did not converge.
     """
 
     number: int
@@ -103,12 +103,12 @@ class AdaptiveSolution(Tabulated):
 
     @property
     def goal_error(self) -> GoalError | None:
-        """The goal and its error on the last mesh, if there is a goal."""
+        """The goal and its error on the last mesh; None as in `Level.goal_error`."""
         return self.levels[-1].goal_error
 
     @property
     def error(self) -> float:
-        """Estimate of the relative error, in energy or of the goal, on the last mesh."""
+        """Estimate of the relative error on the last mesh, in the energy norm or of the goal."""
         return self.levels[-1].error
 
     def raise_if_failed(self) -> None:
@@ -152,10 +152,10 @@ def judged(
     goal: Goal | None,
     start: float,
 ) -> Level:
-    """Return a solution with the estimated error of its mesh, in energy or of a goal. Collective.
+    """Return the level of a mesh: its solution, and the estimated error, as judged. Collective.
 
-    If the iteration's part of the goal's error is too large, the problem is solved again, more
-    accurately. `start` is when work on the mesh began (`time.perf_counter`).
+    If the iteration's part of the goal's error exceeds the part `FORCING` of all, the problem is
+    solved again, more accurately. `start` is `time.perf_counter()` when work on the mesh began.
     """
     products, goal_error = solution.products, None
     if goal is not None and solution.status is ContactStatus.CONVERGED:
@@ -190,7 +190,7 @@ def judged(
 
 @collective(comm_of("problem", "cell_errors"))
 def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) -> fem.Function:
-    """Return cell errors, passing on primary errors to opposite secondary cells. Collective.
+    """Return cell errors, in secondary cells at least those of opposite cells. Collective.
 
     `solve_adaptively` refines by these errors, and scripts should too.
 
@@ -222,13 +222,13 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
     for pair, operator in zip(problem.pairs, operators, strict=True):
         if pair.obstacle is not None:
             continue
-        # `transfer` takes densities: squared errors per area, means over primary facets at a node
+        # `transfer` takes nodal densities: squared errors per area, means over the facets at a node
         ds = ufl.Measure("ds", domain=mesh, subdomain_data=pair.facet_tags)
         density = assembled(cell_errors**2 / ufl.FacetArea(mesh) * node * ds(pair.primary), nodes)
         areas = assembled(node * ds(pair.primary), nodes)
         np.divide(density.x.array, areas.x.array, out=density.x.array, where=areas.x.array > 0.0)
         opposite = assembled(operator.transfer(density) * cell * ds(pair.secondary), cells)
-        # `opposite` is negative where the projection of `transfer` overshoots
+        # these squared errors may be negative where the projection of `transfer` overshoots
         result.x.array[:] = np.sqrt(np.maximum(np.square(result.x.array), opposite.x.array))
     return result
 
@@ -258,7 +258,7 @@ def solve_adaptively(
     """Solve, and refine where errors are large, until the mesh is fine enough. Collective.
 
     On each mesh the iteration ends with an error below the error of the mesh. If the options of the
-    problem request another accuracy, the problem on the last mesh is solved again with these.
+    problem are others (`accuracy`, `mesh_part`), the last mesh's problem is solved again with them.
 
     Args:
         build: function that returns the problem on a given mesh, with function space, forms,
@@ -274,7 +274,7 @@ def solve_adaptively(
             The patch of a `MeanPressure` or `MeanSlip` needs a contact node on the first mesh.
         fraction: part of the sum of squared errors that the cells to be cut have together; see
             `refine`.
-        max_dofs: approximate limit for `free_dofs` of a mesh: no problem is made on a larger mesh.
+        max_dofs: approximate limit for `free_dofs`: no refined mesh that is larger gets a problem.
         max_levels: limit for the number of meshes.
         after: solution of the previous load step, on any mesh; slip on each mesh counts from this
             solution (`ContactProblem.continue_from`).
@@ -333,8 +333,8 @@ def solve_adaptively(
                 problem.continue_from(after)
             # The preconditioner depends on the number of ranks, and so do the error of the
             # iteration and the cells to refine. (Of two bricks with multigrid, squared errors of
-            # cells on 1 and 2 ranks differed by 8e-2 with the part 0.3, by 1e-2 with 0.003 and by
-            # 5e-5 with 3e-5; the widest gap of `NEARLY` is about 1e-2 there.)
+            # cells on 1 and 2 ranks differed by 8e-2 with `mesh_part` 0.3, by 1e-2 with 0.003 and
+            # by 5e-5 with 3e-5; the widest gap that `cells_to_refine` looks for is about 1e-2.)
             mesh_part = min(options.mesh_part, 1.0 if problem.solves_exactly else 3e-5)
             solution = problem.solve(accuracy="balanced", mesh_part=mesh_part)
             level = judged(len(levels), tagged_mesh, problem, solution, goal, start)

@@ -24,13 +24,13 @@ from dolfinx_tresca.guaranteed.stars import Stars
 from dolfinx_tresca.scene.pair import ContactForce, NormalForce, checked_goal
 from dolfinx_tresca.stiffness.system import LinearSystem
 
-#: Force that a cell lacks, relative to the largest on a cell, which tells of a force at a point.
+#: Force missing on a cell, relative to the largest force on a facet, that still counts as rounding.
 IMBALANCE = 1e-7
 
-#: Part of the bound by which a step of the conjugate gradient method must lower it, or the steps
+#: Least relative decrease of the bound by a step of conjugate gradients: after a smaller one they
 #: end. With half of it the bound is 2 % smaller, for up to one and a half times as many steps.
 GAIN = 0.02
-#: Changes of the load, in multiples of the load: where contact changes, smaller ones are better.
+#: Tried changes t J of the load, as |t w| / |u|: where contact changes, smaller ones are better.
 MULTIPLES = (0.0625, 0.25, 1.0, 4.0)
 
 
@@ -39,21 +39,21 @@ class GuaranteedError:
     """A proven bound of |u - u*|, where u* is the exact solution on the domain of the mesh.
 
     The norm is the energy norm, |v|^2 = a(v, v). The bound is proven up to rounding. u* solves
-    Tresca's problem with gaps and slip bounds that are linear between contact nodes; bounds that
-    depend on the pressure are those of the solution.
+    Tresca's problem with gaps and slip bounds that are linear between contact nodes; slip bounds
+    that depend on the pressure have the values that belong to the computed solution.
 
     Attributes:
         error: bound of |u - u*| [energy^(1/2)].
-        relative_error: `error` divided by |u|.
-        cell_errors: for each cell, root of its part of the square [energy^(1/2)], for `refine`. The
-            root of the sum of squares is at least `error`, and hardly larger if `lift` is small.
-        stress: |s - s(u)|, the distance of stress in equilibrium from that of u [energy^(1/2)].
-        oscillation: root of the sum of squares of the terms of loads that are not balanced exactly
-            [energy^(1/2)]; zero for loads that are linear in cells, and tractions on facets.
-        complementarity: integral of pressure times gap [energy].
-        friction: integral of what the work of friction lacks of its bound [energy].
+        relative_error: `error` divided by |u|; infinite if u is zero.
+        cell_errors: a value of each cell [energy^(1/2)], for `refine`. The root of the sum of their
+            squares is at least `error`, and hardly larger if `lift` and contact's terms are small.
+        stress: |s - s(v)| for a stress s in equilibrium and the stress of v [energy^(1/2)].
+        oscillation: root of the sum of squares of what loads add that are not linear in cells or on
+            facets, since s balances only their linear projections [energy^(1/2)].
+        complementarity: integral of the pressure times the gap that v leaves [energy].
+        friction: integral of slip bound times slip of v, minus the work of friction [energy].
         lift: |u - v|, the distance of u from a displacement v that does not penetrate, and has no
-            gap where it is pressed [energy^(1/2)].
+            gap at nodes under pressure [energy^(1/2)].
     """
 
     error: float
@@ -71,12 +71,12 @@ class GuaranteedError:
 
 
 class Candidate(NamedTuple):
-    """A stress and a displacement that bound the exact solution of a load.
+    """A stress and a displacement whose distance bounds errors, as any such two do.
 
     Attributes:
-        loading: (n, d + 1, d + 1, d) loading that balances the load, with tractions of contact.
+        loading: (n, d + 1, d + 1, d) loading that balances the load; it stands for the stress.
         v: a displacement that does not penetrate.
-        surfaces: the contact surfaces, with admissible tractions.
+        surfaces: the contact surfaces with their tractions, which `loading` contains.
     """
 
     loading: Array
@@ -85,14 +85,14 @@ class Candidate(NamedTuple):
 
 
 class Bodies:
-    """The cells of elastic bodies with their stiffnesses, for stresses in equilibrium.
+    """The elastic bodies as n cells of this rank with d + 1 vertices, for guaranteed bounds.
 
     Attributes:
         stiffness: (n, d * d, d * d) elasticity tensors of the cells.
-        unknown: (n, d + 1, d) whether a component of the traction on a facet is unknown: inside the
-            body, and where the displacement of all nodes is prescribed along it.
+        unknown: (n, d + 1, d) whether no load determines a component of the traction on a facet:
+            inside the body, or where this component is prescribed at all nodes of the facet.
         factors: (n, d + 2) bounds of the work of loads, see `forms.loads`.
-        load: (n, d + 1, d + 1, d) loading of the form L; `oscillation` (n,) bounds what it lacks.
+        load: (n, d + 1, d + 1, d) loading of L; `oscillation` (n,) bounds the work of its error.
     """
 
     def __init__(self, linear: LinearSystem, dual: DualProgram) -> None:
@@ -115,20 +115,20 @@ class Bodies:
         self.unknown = held | (cells.sides[cells.facets, 0] == 2.0)
         self.stars = Stars(cells, self.energies.of_facets(), self.unknown)
         self.factors = cells.load_factors() / np.sqrt(least)[:, None]
-        self.factors[:, 1:] *= ~held.all(axis=2)  # facets that are held take any load
+        self.factors[:, 1:] *= ~held.all(axis=2)  # loads on held facets do no work
         self.load, self.oscillation = loads(L, cells, self.factors, maps)
 
     def loading_of(self, w: fem.Function) -> Array:
-        """Return the loading (n, d + 1, d + 1, d) of the stress of a displacement."""
+        """Return the loading (n, d + 1, d + 1, d) of the stress C eps(w) of a displacement w."""
         cells, (n, corners, d) = self.cells, self.cells.points.shape
-        # at vertex i, C_ij lambda_i lambda_j summed has the gradient 2 C_ij grad lambda_j summed
+        # the sum of C_ij lambda_i lambda_j has at vertex i the gradient sum of 2 C_ij grad lambda_j
         coefficients = 2.0 * np.swapaxes(bernstein(w.x.array.reshape(-1, d)[cells.nodes]), 2, 3)
         slopes = coefficients.reshape(n, corners * d, corners) @ cells.gradients
         stresses = slopes.reshape(n, corners, d * d) @ self.stiffness
-        return cells.loading_of(stresses.reshape(n, corners, d, d))
+        return cells.to_loading(stresses.reshape(n, corners, d, d))
 
     def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:
-        """Return the displacement that forces alone cause, with one solve with K. Collective."""
+        """Return the displacement that nodal forces alone cause, by a solve with K. Collective."""
         result, free = zero_like(forces, "response"), forces.copy()
         owned_values(free)[self.linear.prescribed.reshape(-1, self.cells.d)] = 0.0
         dual.compliance.solver.improve(
@@ -142,10 +142,10 @@ class Bodies:
     ) -> Candidate:
         """Return the candidate of a load (n, d + 1, d + 1, d), with one solve with K. Collective.
 
-        The multipliers (size,) and u are the solution for this or another load.
+        It is built from a solution for this load or for a similar one: multipliers (size,) and u.
         """
         cells, d, given = self.cells, self.cells.d, load.copy()
-        # what contact gives: tractions, and a displacement that does not penetrate
+        # contact surfaces give tractions, and move u so that it does not penetrate
         at_solution = dual.section_at(multipliers, dual.gradient_of(u.x.petsc_vec))
         areas = np.concatenate([pair.weights for pair in dual.jump.pairs])
         bounds = at_solution.radius[: len(areas)] / np.sqrt(areas)
@@ -156,8 +156,8 @@ class Bodies:
             surface.lift(v)
             for cell, facet, tractions in surface.sides:
                 given[cell, facet, :d] += tractions
-        # A stress in discrete equilibrium: forces at vertices balance hat functions, for
-        # displacements of any degree. Its tractions take the place of unknown ones.
+        # `discrete` is a stress in discrete equilibrium with `given`: `force` at vertices balances
+        # the hat functions, for any degree of V. Its tractions take the place of unknown ones.
         of_u, force = self.loading_of(u), zero_like(u, "force")
         missing, vertices = cells.resultants(given - of_u), np.einsum("nkk->nk", cells.nodes)
         force.x.array[:] = summed_at_nodes(self.V.dofmap.index_map, vertices, missing).ravel()
@@ -168,10 +168,10 @@ class Bodies:
         return Candidate(loading, v, surfaces)
 
     def _check_equilibrium(self, loading: Array, of_u: Array) -> None:
-        """Raise ContactError if a loading has a force or moment on any cell. Collective.
+        """Raise ContactError if a loading does not balance in force or moment. Collective.
 
-        Forces are compared with those of the loading and of the solution's stress, `of_u`: a stress
-        that balances L alone may be free of forces.
+        Missing forces of cells are compared with the largest on a facet, of the loading or of that
+        of the solution, `of_u`: for a goal that is a force, the loading balances L, perhaps zero.
         """
         cells = self.cells
         arms = (cells.points - cells.points[:, :1]) / cells.heights.max(axis=1)[:, None, None]
@@ -186,7 +186,7 @@ class Bodies:
             )
 
     def defects(self, surfaces: Sequence[ContactSurface], v: fem.Function) -> Array:
-        """Return `ContactSurface.defects` (n, 2) [energy] over the facets of cells. Collective."""
+        """Return the sums (n, 2) of `ContactSurface.defects` [energy] in each cell. Collective."""
         result = np.zeros((len(self.unknown), 2))
         for surface in surfaces:
             np.add.at(result, surface.cell, surface.defects(v))
@@ -195,10 +195,10 @@ class Bodies:
     def shorten(self, difference: Array, gain: float) -> None:
         """Lower the norm of a stress by tractions that leave cells in equilibrium. Collective.
 
-        These are steps of the preconditioned conjugate gradient method (`Stars.preconditioned`), in
-        place in the loading `difference`. They end if a step lowers the norm by less than the part
-        `gain`, hence its square by less than the part 2 `gain`, or, if that is less, the square by
-        less than the part `gain` of its decrease so far: for goals the norm is large by itself.
+        The loading `difference` stands for the stress, and is changed in place by conjugate
+        gradient steps, preconditioned by `Stars`. They end when a step lowers the squared norm by
+        at most 2 `gain` times this square, so the norm by the part `gain`; or, if that is less, by
+        at most `gain` times its decrease so far, since for goals the least norm itself is large.
         """
         descent = -self.energies.derivative(difference)  # minus half the derivative of the square
         square = -float(reduce_array(self.comm, (difference * descent).sum()))
@@ -221,8 +221,8 @@ class Bodies:
     ) -> GuaranteedError:
         """Return a bound of the error of a solution, with one solve with K. Collective.
 
-        The exact stress is in a ball round the mean of the candidate's stresses s and s(v), with
-        the radius |s - s(v)| / 2, but for contact and the oscillation.
+        Without contact and oscillation, the exact stress is in a ball round the mean of the
+        candidate's stresses s and s(v), with the radius |s - s(v)| / 2; both enlarge the ball.
         """
         loading, v, surfaces = self.candidate(dual, multipliers, u, self.load)
         of_u, of_v, defects = self.loading_of(u), self.loading_of(v), self.defects(surfaces, v)
@@ -231,17 +231,17 @@ class Bodies:
         # squared norms of s - s(v), of the distance of s(u) from the mean, and of s(u) - s(v)
         stresses = difference, of_u - of_v - 0.5 * difference, of_u - of_v
         square, from_mean, moved = map(self.energies.squared_norms, stresses)
-        eta = (np.sqrt(square) + self.oscillation) ** 2
-        offset = (np.sqrt(from_mean) + 0.5 * self.oscillation) ** 2
-        terms = eta, offset, square, self.oscillation**2, moved, *defects.T
+        eta_squares = (np.sqrt(square) + self.oscillation) ** 2
+        offset_squares = (np.sqrt(from_mean) + 0.5 * self.oscillation) ** 2
+        terms = eta_squares, offset_squares, square, self.oscillation**2, moved, *defects.T
         *squares, complementarity, friction = reduce_array(self.comm, [t.sum() for t in terms])
-        of_eta, of_offset, stress, oscillation, lift = map(sqrt, squares)
-        error = of_offset + sqrt(0.25 * of_eta**2 + max(complementarity + friction, 0.0))
+        eta, offset, stress, oscillation, lift = map(sqrt, squares)
+        error = offset + sqrt(0.25 * eta**2 + max(complementarity + friction, 0.0))
         norm = dual.norm_of(u)
         relative_error = error / norm if norm > 0.0 else float("inf")
         constants = fem.functionspace(self.V.mesh, ("DG", 0))
-        of_cells = np.sqrt(2.0 * (offset + 0.25 * eta + np.abs(defects.sum(axis=1))))
-        cell_errors = with_owned_values(constants, of_cells, "guaranteed_cell_errors")
+        roots = np.sqrt(2.0 * (offset_squares + 0.25 * eta_squares + np.abs(defects.sum(axis=1))))
+        cell_errors = with_owned_values(constants, roots, "guaranteed_cell_errors")
         contact = float(complementarity), float(friction), lift
         return GuaranteedError(error, relative_error, cell_errors, stress, oscillation, *contact)
 
@@ -253,7 +253,7 @@ class GuaranteedGoal:
     Attributes:
         lower: the least possible value [unit of the goal], proven up to rounding.
         upper: the largest possible value.
-        value: the value in the computed solution, usually inside.
+        value: the value in the computed solution, usually between both.
     """
 
     lower: float
@@ -268,11 +268,11 @@ class Functional:
     """A goal that is linear in the displacement v, as J(v) or, for a force, a(w, v) - L(w).
 
     Attributes:
-        form: the linear form: J, or a(w, v); `derivative` is its vector.
-        w: the displacement that the form causes as a load, without contact. For a force it is
-            given, the unit displacement of the nodes of the pair; else it is computed roughly.
+        form: the linear form of v: J, or a(w, v); `derivative` is its vector.
+        w: the displacement that the form causes as a load, without contact. For a force it is a
+            unit displacement of the pair's secondary nodes alone; else a rough solve yields it.
         constant: L(w) for a force, else zero.
-        load: the loading of J; zero for a force, which the stress of w balances.
+        load: the loading of J; zero for a force, since the stress of w itself balances a(w, v).
     """
 
     def __init__(self, goal: Any, bodies: Bodies, dual: DualProgram) -> None:
@@ -287,10 +287,10 @@ class Functional:
         arguments = goal.arguments() if isinstance(goal, ufl.Form) else []
         if is_force:
             pairs = dual.jump.by_pair
-            pair = pairs[checked_goal(goal, len(pairs), bodies.cells.d).pair].operators
+            operators = pairs[checked_goal(goal, len(pairs), bodies.cells.d).pair].operators
             self.w = fem.Function(bodies.V)
-            direction = -pair.normals if isinstance(goal, NormalForce) else goal.direction
-            self.w.x.array.reshape(-1, bodies.cells.d)[pair.nodes] = direction
+            direction = -operators.normals if isinstance(goal, NormalForce) else goal.direction
+            self.w.x.array.reshape(-1, bodies.cells.d)[operators.nodes] = direction
             self.w.x.array[: len(linear.prescribed)][linear.prescribed] = 0.0
             self.w.x.scatter_forward()
             forces = linear.assemble_forces()
@@ -312,7 +312,7 @@ class Functional:
         self.load, self._oscillation = loads(L, bodies.cells, bodies.factors, linear.entity_maps)
 
     def value(self, v: fem.Function) -> float:
-        """Return the value for a displacement. Collective."""
+        """Return the goal's value for a displacement [unit of the goal]. Collective."""
         return float(self.derivative.x.petsc_vec.dot(v.x.petsc_vec)) - self.constant
 
     def interval(
@@ -320,15 +320,15 @@ class Functional:
     ) -> GuaranteedGoal:
         """Return an interval that contains the value in the exact solution. Collective.
 
-        For all t, t J(u*) - t J(v) <= |s - s(v)|^2 / 4 + G with s of the load L + t J, and v of
-        L - t J: an upper limit if t > 0, else a lower one. With a small t the errors count much,
-        with a large one contact changes, and the defects G are large. `candidate_at` returns the
-        candidate of L + t J; if the goal is a force, its `loading` balances L alone.
+        Without oscillation, t J(u*) - t J(v) <= |s - s(v)|^2 / 4 + G, with s of the load L + t J
+        and v of L - t J: an upper limit if t > 0, else a lower one. If t is small, errors divided
+        by t are large; if t is large, contact changes, and its defects G are large. `candidate_at`
+        gives the candidate of L + t J; if the goal is a force, its `loading` balances L alone.
         """
         bodies, limits = self._bodies, []
-        size = self._dual.norm_of(u) / self._dual.norm_of(self.w)
-        sizes = [sign * multiple * size for multiple in MULTIPLES for sign in (1.0, -1.0)]
-        candidates = {t: candidate_at(t) for t in sizes}
+        scale = self._dual.norm_of(u) / self._dual.norm_of(self.w)
+        changes = [sign * multiple * scale for multiple in MULTIPLES for sign in (1.0, -1.0)]
+        candidates = {t: candidate_at(t) for t in changes}
         for t, candidate in candidates.items():
             v = candidates[-t].v
             difference = candidate.loading - bodies.loading_of(v) + t * self._stress

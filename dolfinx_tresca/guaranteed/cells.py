@@ -1,9 +1,9 @@
 """Simplices: polynomials, shapes, constants, stresses; the cells of a mesh that a rank owns.
 
 Vertices are in ascending order of their global numbers, so that two cells agree on their order in a
-common facet. Facet j is opposite to vertex j. The *loading* of cells, (n, d + 1, d + 1, d), are for
-each j the tractions on facet j at its vertices, then the load in the cell at vertex j; both are
-linear. A stress is in equilibrium with its loading: the load is minus its divergence.
+common facet. Facet j is opposite to vertex j. A *loading* of n cells (n, d + 1, d + 1, d) holds in
+[:, j, :d] the tractions on facet j at its d vertices, in [:, j, d] the load in the cell at vertex
+j; both are linear. A stress is in equilibrium with it if the load is minus its divergence.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from dolfinx_tresca._base.parallel import summed_at_nodes
 from dolfinx_tresca.errors import InputError
 
 #: Constants of the simplex with the vertices 0, e_1, e_1 + e_2, ..., by its dimension: upper bounds
-#: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, for w minus its
-#: nearest linear function: docs/theory/guaranteed.md, tests/guaranteed/test_constants.py.
+#: of |w| / |sym grad w|, and of |w|_F / |F|^(1/2) / |sym grad w| on its facets F, where w minus its
+#: nearest linear function is in |w|: docs/theory/guaranteed.md, tests/guaranteed/test_constants.py.
 POINCARE = {2: 0.540, 3: 0.768}
 TRACE = {2: 1.522, 3: 4.473}
 
 
 @cache
 def mean_products(corners: int, factors: int) -> Array:
-    """Return the means (corners, corners, ...) of products of barycentric coordinates."""
+    """Return the mean of lambda_i lambda_j ... in a simplex at [i, j, ...] (`factors` axes)."""
     index = np.indices((corners,) * factors)
     result = np.full(index.shape[1:], factorial(corners - 1) / factorial(corners - 1 + factors))
     for k in range(1, factors):  # the factorial of each power
@@ -42,50 +42,50 @@ def mean_products(corners: int, factors: int) -> Array:
     return result
 
 
-def pair_means(values: Array) -> Array:
-    """Return the means (..., k, k, c) of the values (..., k, c) at each two vertices."""
+def midpoint_values(values: Array) -> Array:
+    """Return the means (..., k, k, c) of each two values (..., k, c) at vertices, for midpoints."""
     return np.asarray(0.5 * (values[..., :, None, :] + values[..., None, :, :]))
 
 
 def bernstein(values: Array) -> Array:
-    """Return Bernstein's coefficients C (..., k, k, c) of functions C_ij lambda_i lambda_j.
+    """Return coefficients C (..., k, k, c) of the quadratic functions sum C_ij lambda_i lambda_j.
 
-    The mean of values (i, j) and (j, i) is that in the middle between the vertices i and j.
+    The mean of the values [i, j] and [j, i] is that in the middle between the vertices i and j.
     """
     corners = np.einsum("...iic->...ic", values)
-    return np.asarray(values + np.swapaxes(values, -3, -2) - pair_means(corners))
+    return np.asarray(values + np.swapaxes(values, -3, -2) - midpoint_values(corners))
 
 
 @cache
 def lagrange(corners: int) -> tuple[Array, Array, Array]:
-    """Return Lagrange's basis of degree 2 on a simplex, with a node for each two vertices i <= j.
+    """Return Lagrange's basis of degree 2: q functions, with a node for each two vertices i <= j.
 
-    The result has the nodes' barycentric coordinates (k, corners), in the order of `triu_indices`,
-    `bernstein`'s coefficients (corners, corners, k), and means (k, k) of two functions' products.
+    The result has the nodes' barycentric coordinates (q, corners), in the order of `triu_indices`,
+    `bernstein`'s coefficients (corners, corners, q), and means (q, q) of two functions' products.
     """
     i, j = np.triu_indices(corners)
     values = np.zeros((corners, corners, len(i)))
     values[i, j, range(len(i))] = values[j, i, range(len(i))] = 1.0
     basis = bernstein(values)
     means = np.einsum("abp,cdq,abcd->pq", basis, basis, mean_products(corners, 4), optimize=True)
-    return pair_means(np.eye(corners))[i, j], basis, means
+    return midpoint_values(np.eye(corners))[i, j], basis, means
 
 
 @cache
 def symmetric(d: int) -> Array:
-    """Return an orthonormal basis (d * d, d (d + 1) / 2) of symmetric matrices."""
+    """Return an orthonormal basis (d * d, k) of matrices like stresses, with k = d (d + 1) / 2."""
     # transposition has the eigenvalues -1, of antisymmetric matrices, and 1, in this order
     transposed = np.swapaxes(np.eye(d * d).reshape(d, d, -1), 0, 1).reshape(d * d, -1)
     return np.asarray(np.linalg.eigh(transposed)[1][:, d * (d - 1) // 2 :])
 
 
-def opposite(d: int) -> Indices:
-    """Return the vertices (d + 1, d) of each facet of a simplex."""
+def facet_vertices(d: int) -> Indices:
+    """Return the vertices (d + 1, d) of each facet j of a simplex: all but vertex j."""
     return np.array([[k for k in range(d + 1) if k != j] for j in range(d + 1)])
 
 
 def rigid_motions(arms: Array) -> Array:
-    """Return translations and rotations (..., r, k, d) at the ends of arms (..., k, d)."""
+    """Return d translations, then rotations about 0 (..., r, k, d), at points (..., k, d)."""
     d = arms.shape[-1]
     result = np.zeros((*arms.shape[:-2], d * (d + 1) // 2, *arms.shape[-2:]))
     result[..., range(d), :, range(d)] = 1.0
@@ -95,11 +95,11 @@ def rigid_motions(arms: Array) -> Array:
 
 
 class Simplices:
-    """Simplices with d + 1 vertices.
+    """The shapes of n simplices with d + 1 vertices, whether they belong to a mesh or not.
 
     Attributes:
         points: (n, d + 1, d) the vertices [length].
-        frames: (n, d, d) the matrices B of the maps x = x_0 + B X from the reference simplex.
+        frames: (n, d, d) matrices whose columns are the edges from vertex 0 to the other vertices.
         volumes: (n,) volumes, in 2D areas.
         gradients: (n, d + 1, d) gradients of the barycentric coordinates.
         heights: (n, d + 1) heights of the vertices over the opposite facets.
@@ -123,16 +123,16 @@ class Simplices:
         volumes, areas = self.volumes[:, None, None], self.areas[:, :, None, None]
         forces = volumes * (mean_products(self.d + 1, 2) @ loading[:, :, self.d])
         products = mean_products(self.d, 2)
-        for j, vertices in enumerate(opposite(self.d)):
+        for j, vertices in enumerate(facet_vertices(self.d)):
             forces[:, vertices] += areas[:, j] * (products @ loading[:, j, : self.d])
         return forces
 
     def load_factors(self) -> Array:
         """Return upper bounds (n, d + 2) of |w| and of |w|_F on each facet F, over |sym grad w|.
 
-        Displacements w are those minus their nearest linear function. `POINCARE` grows with s^2 / t
-        [length], where s and t are the largest and the least singular value of the affine map. Its
-        columns are the edges of a path through all vertices; the shortest is taken.
+        w is any displacement minus its nearest linear function. `POINCARE` is multiplied by s^2 / t
+        [length], with the largest and the least singular value s and t of the matrix whose columns
+        are the edges of a path through all vertices: the path with the least sum of squares.
         """
         paths = list(permutations(range(self.d + 1)))
         steps = np.diff(self.points[:, paths], axis=2)
@@ -143,16 +143,16 @@ class Simplices:
         factors = np.sqrt(factors) * ([POINCARE[self.d]] + (self.d + 1) * [TRACE[self.d]])
         return np.asarray((squares[:, -1] / np.sqrt(squares[:, 0]))[:, None] * factors)
 
-    def loading_of(self, stress: Array) -> Array:
-        """Return the loading of linear stresses (n, d + 1, d, d) at the vertices."""
+    def to_loading(self, stress: Array) -> Array:
+        """Return the loading of linear stresses, which are given at vertices (n, d + 1, d, d)."""
         products = np.einsum("nkab,njb->njka", stress, self.normals)
-        tractions = products[:, np.arange(self.d + 1)[:, None], opposite(self.d)]
+        tractions = products[:, np.arange(self.d + 1)[:, None], facet_vertices(self.d)]
         load = -np.einsum("nkab,nkb->na", stress, self.gradients)[:, None, None]
         return np.concatenate([tractions, np.repeat(load, self.d + 1, axis=1)], axis=2)
 
 
 def _regular_frame(d: int) -> Array:
-    """Return the matrix (d, d) whose columns are the edges at a vertex of the regular simplex."""
+    """Return the matrix (d, d) of the edges at a vertex, its columns, of a regular simplex."""
     return np.asarray(np.linalg.cholesky(0.5 * (np.eye(d) + 1.0)).T)
 
 
@@ -160,27 +160,27 @@ def _regular_frame(d: int) -> Array:
 def stress_products(d: int) -> Array:
     """Return matrices A_ij (k, k, m, m) that give the norms of stresses on the regular simplex.
 
-    The squared norm with the compliance C_ij (k, k), in terms of `symmetric`, is the sum of C_ij
-    A_ij times the volume, in the m entries of a loading with tractions S grad lambda_j. The stress
-    is the one of least norm with this loading in the element of Johnson and Mercier (1978): it is
-    symmetric, quadratic in each subcell (i has the centroid as vertex i), of continuous tractions.
+    A squared norm is y'(sum C_ij A_ij) y times the volume: C (k, k) is the compliance in the basis
+    `symmetric`, and y the m entries of a loading, but with S grad lambda_j for tractions S n of the
+    stress S. S is that of least norm in the element of Johnson and Mercier (1978): symmetric,
+    quadratic in each subcell (i has the centroid as vertex i), of continuous tractions.
     """
-    n, (places, shapes, means) = d + 1, lagrange(d + 1)
+    n, (nodes, shapes, means) = d + 1, lagrange(d + 1)  # n vertices, and as many subcells
     # unknown stresses at the nodes of subcells, in units of which the norm is Euclidean
     root = np.kron(np.linalg.inv(np.linalg.cholesky(means / n)).T, symmetric(d))
-    stress = np.kron(np.eye(n), root).reshape(n, len(places), d, d, -1)
+    stress = np.kron(np.eye(n), root).reshape(n, len(nodes), d, d, -1)
     loading = np.eye(n * n * d).reshape(n, n, d, -1)
     gradients = Simplices(np.vstack([np.zeros(d), _regular_frame(d).T])[None]).gradients[0]
     corners = np.tile(np.eye(n), (n, 1, 1))  # of the subcells, in barycentric coordinates
     corners[range(n), range(n)] = 1.0 / n
-    points = (places @ corners).reshape(-1, n).round(9)
+    points = (nodes @ corners).reshape(-1, n).round(9)
     numbers = np.unique(points, axis=0, return_inverse=True)[1].reshape(n, -1)
     equations, right = [], []
-    for i, vertices in enumerate(opposite(d)):
+    for i, vertices in enumerate(facet_vertices(d)):
         # on the facet of the simplex, the tractions of the loading
-        on_facet = places[:, i] == 0.0
+        on_facet = nodes[:, i] == 0.0
         equations.append(np.einsum("pklz,l->pkz", stress[i, on_facet], gradients[i]))
-        right.append(np.tensordot(places[on_facet][:, vertices], loading[i, :d], axes=1))
+        right.append(np.tensordot(nodes[on_facet][:, vertices], loading[i, :d], axes=1))
         # at the vertices of the subcell, the load is minus the divergence
         slopes = np.linalg.solve(corners[i].T, gradients)
         divergence = 2.0 * np.einsum("abp,pklz,bl->akz", shapes, stress[i], slopes, optimize=True)
@@ -193,22 +193,22 @@ def stress_products(d: int) -> Array:
             right.append(np.zeros((len(ours), d, n * n * d)))
     matrix = np.concatenate(equations).reshape(-1, stress.shape[-1])
     least = np.linalg.pinv(matrix, 1e-10) @ np.concatenate(right).reshape(len(matrix), -1)
-    least = least.reshape(n * len(places), symmetric(d).shape[1], -1)
+    least = least.reshape(n * len(nodes), symmetric(d).shape[1], -1)
     return np.asarray(np.einsum("pax,pby->abxy", least, least, optimize=True))
 
 
 class StressEnergies:
-    """Squared norms of the stresses of the element as quadratic functions of their loadings.
+    """Squared norms of the stresses of `stress_products` as quadratic functions of loadings.
 
-    A squared norm is twice the complementary energy; a loading out of equilibrium is projected.
+    A squared norm is twice the complementary energy; a loading that is no balance is projected.
     """
 
     def __init__(self, cells: Simplices, compliance: Array) -> None:
-        """Compute the matrices of all cells; `compliance` (n, k, k) is in terms of `symmetric`."""
+        """Compute the matrices of all cells; `compliance` (n, k, k) is in the basis `symmetric`."""
         n, corners, d = cells.points.shape
         from_regular = cells.frames @ np.linalg.inv(_regular_frame(d))
         maps = np.einsum("nia,njb->nabij", from_regular, from_regular).reshape(n, d * d, d * d)
-        maps = symmetric(d).T @ maps @ symmetric(d)  # transposed
+        maps = symmetric(d).T @ maps @ symmetric(d)  # transposed, of stresses S to B S B'
         pulled = maps @ compliance @ np.swapaxes(maps, 1, 2) * cells.volumes[:, None, None]
         self._matrices = np.tensordot(pulled, stress_products(d), 2)
         # stresses S of the regular simplex become B S B'; tractions S grad lambda_j, with the
@@ -218,7 +218,7 @@ class StressEnergies:
         self._inverses = np.linalg.inv(from_regular)
 
     def derivative(self, loading: Array) -> Array:
-        """Return half the derivative (n, d + 1, d + 1, d) of the squared norms."""
+        """Return half the derivative (n, d + 1, d + 1, d) of squared norms by the loading."""
         (n, m, _), d = self._matrices.shape, self._inverses.shape[1]
         values = (self._scales * loading).reshape(n, m // d, d) @ np.swapaxes(self._inverses, 1, 2)
         products = (self._matrices @ values.reshape(n, m, 1)).reshape(n, m // d, d)
@@ -229,7 +229,7 @@ class StressEnergies:
         return np.asarray((loading * self.derivative(loading)).sum(axis=(1, 2, 3)))
 
     def of_facets(self) -> Array:
-        """Return Q (n, d + 1, d * d, d * d): t'Q t is the squared norm for t on one facet."""
+        """Return Q (n, d + 1, d * d, d * d): t'Q t is the squared norm for t on one facet alone."""
         n, d, _ = self._inverses.shape
         blocks = self._matrices.reshape(n, d + 1, (d + 1) * d, d + 1, (d + 1) * d)
         blocks = np.einsum("njajb->njab", blocks)[:, :, : d * d, : d * d]
@@ -242,8 +242,8 @@ class MeshCells(Simplices):
 
     Attributes:
         order: (n, d + 1) the local numbers of the vertices in DOLFINx.
-        quadratics: the space of vectors that are quadratic in cells.
-        dofs: (n, k) nodes of `quadratics` on this rank, in the order of `lagrange`.
+        quadratics: the space of vectors that are quadratic in cells, and may jump between cells.
+        dofs: (n, q) nodes of `quadratics` on this rank, in the order of `lagrange`.
         vertices: (n, d + 1) global numbers of the vertices.
         facets: (n, d + 1) numbers on this rank of the facets, which `facet_map` distributes.
         nodes: (n, d + 1, d + 1) nodes of V on this rank: for degree 1 at vertex i, for degree 2 in
@@ -284,7 +284,7 @@ class MeshCells(Simplices):
         self.nodes = V.dofmap.list[cell[:, None], nodes]
         self.quadratics = fem.functionspace(mesh, ("DG", 2, (d,)))
         self.dofs = self.quadratics.dofmap.list[cell, edges[(slice(None), *np.triu_indices(d + 1))]]
-        self.facet_nodes = self.nodes[:, opposite(d)[:, :, None], opposite(d)[:, None]]
+        self.facet_nodes = self.nodes[:, facet_vertices(d)[:, :, None], facet_vertices(d)[:, None]]
         # the orientation of a facet in the boundary of a cell, opposite for its two cells
         turns = (-1.0) ** np.arange(d + 1) * np.linalg.det(self.frames)[:, None]
         self.signs = np.sign(turns)[:, :, None, None]
@@ -296,15 +296,15 @@ class MeshCells(Simplices):
         return summed_at_nodes(self.facet_map, self.facets, rows).reshape(-1, *values.shape[2:])
 
     def on_sides(self, tractions: Array) -> Array:
-        """Return the loading of tractions (facets, d d), which are opposite on both sides."""
+        """Return the loading of tractions (facets, d * d) and their opposites on the -1 side."""
         on_cells = self.signs * tractions.reshape(-1, self.d, self.d)[self.facets]
         return np.pad(on_cells, ((0, 0), (0, 0), (0, 1), (0, 0)))
 
     def spread(self, owned: Array) -> Array:
-        """Return values (owned nodes, k) at this rank's nodes, ghosts included. Collective."""
+        """Return values (owned nodes of V, k) at all nodes of V on this rank. Collective."""
         return summed_at_nodes(self.V.dofmap.index_map, np.arange(len(owned)), owned)
 
     def require(self, holds: Any, needed: str) -> None:
-        """Check what the bound needs on all ranks. Collective."""
+        """Raise an InputError with what a bound needs, unless it holds on all ranks. Collective."""
         if not self.V.mesh.comm.allreduce(bool(holds), op=MPI.LAND):
             raise InputError(f"a guaranteed bound needs {needed}.")

@@ -23,14 +23,14 @@ QUADRATURE = {"quadrature_degree": 10}
 
 
 def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[Array, ...]:
-    """Return the elasticity tensors of a form a(w, v) in each cell. Collective.
+    """Return the elasticity tensors of a form a(w, v) in each cell, for stresses. Collective.
 
-    For each matrix G with a single entry 1, w = G x gives forces a(w, v) on quadratic displacements
-    v of each cell. The mean stresses of these forces, for symmetric G, are the tensor. An
-    InputError is raised if the tensors do not explain all forces.
+    For each matrix G with a single entry 1, the strain of w = G x causes forces a(w, v) on the
+    quadratic displacements v of each cell. Their mean stresses, for symmetric G, are the tensor. An
+    InputError is raised if a stress that is constant in each cell does not explain all forces.
 
     Returns:
-        the tensors (n, d * d, d * d), their inverses (n, k, k) in terms of `symmetric`, and their
+        the tensors (n, d * d, d * d), their inverses (n, k, k) in the basis `symmetric`, and their
         least eigenvalues (n,).
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
@@ -42,11 +42,11 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
     for gradient in np.eye(d * d).reshape(-1, d, d):
         slope.value = gradient
         results.append(fem.assemble_vector(work).array.reshape(-1, d)[cells.dofs])
-    # forces (n, d * d, k, d) on the nodes of a cell for each G, divided by the cell's volume
+    # forces (n, d * d, q, d) on the q nodes of a cell for each G, divided by the cell's volume
     forces = np.stack(results, axis=1) / cells.volumes[:, None, None, None]
     # a mean stress is the work of the forces, whose sum is zero, on linear functions
-    places, basis, _ = lagrange(corners)
-    offsets = places @ (cells.points - cells.points[:, :1])
+    nodes, basis, _ = lagrange(corners)
+    offsets = nodes @ (cells.points - cells.points[:, :1])
     stresses = np.swapaxes(forces, 2, 3) @ offsets[:, None]
     moduli = symmetric(d).T @ stresses.reshape(n, d * d, d * d) @ symmetric(d)
     stiffness = symmetric(d) @ moduli @ symmetric(d).T
@@ -72,14 +72,14 @@ def elasticity(a: ufl.Form, cells: MeshCells, maps: EntityMaps | None) -> tuple[
 def loads(
     L: ufl.Form | None, cells: MeshCells, factors: Array, maps: EntityMaps | None
 ) -> tuple[Array, Array]:
-    """Return the loads of a form, projected onto linear functions, and what they lack. Collective.
+    """Return a form's loads, projected onto linear functions, and bounds of the rest. Collective.
 
     `factors` (n, d + 2) bound the work of a load of norm 1 that is orthogonal to linear functions,
-    relative to the energy norm: in the cell, and on each facet.
+    in the cell and on each facet, on displacements of energy norm 1 in the cell.
 
     Returns:
         the loading (n, d + 1, d + 1, d) of the cells, with tractions on the boundary alone, and
-        bounds (n,) of the work of the loads minus their projections, relative to the energy norm.
+        bounds (n,) of the work of loads minus their projections on displacements of energy norm 1.
     """
     mesh, (n, corners, d) = cells.V.mesh, cells.points.shape
     loading, oscillation = np.zeros((n, corners, corners, d)), np.zeros(n)
@@ -93,12 +93,12 @@ def loads(
         f"has integrals of the kinds {sorted(kinds)}, or depends on the gradient of the "
         "displacement, as an initial stress does",
     )
-    # the projection in a cell has unknowns of this space; on a facet those at its vertices
+    # a projection in a cell is a function of this space; on a facet, its values at the vertices
     linears = fem.functionspace(mesh, ("DG", 1, (d,)))
     test, weight = map(ufl.TestFunction, (linears, fem.functionspace(mesh, ("DG", 0))))
     projection = fem.Function(linears)
     dofs = linears.dofmap.list[np.arange(n)[:, None], cells.order]
-    # for integrals over one facet of each cell: integrands are zero where its `normal` differs
+    # cells may have many facets on the boundary: integrals are over the one with this normal
     normal = fem.Function(fem.functionspace(mesh, ("DG", 0, (d,))))
     cosine = ufl.inner(ufl.FacetNormal(mesh), normal)
     on_facet = ufl.conditional(ufl.gt(cosine, 1.0 - NORMAL_ROUNDING), 1.0, 0.0)
@@ -111,10 +111,10 @@ def loads(
             on_domain, domains = on_facet, range(1, corners + 1)
         moments, squares = (
             fem.form(
-                ufl.Form([integral.reconstruct(on_domain * values, metadata=QUADRATURE)]),
+                ufl.Form([integral.reconstruct(on_domain * integrand, metadata=QUADRATURE)]),
                 entity_maps=maps,
             )
-            for values in (ufl.inner(load, test), ufl.inner(difference, difference) * weight)
+            for integrand in (ufl.inner(load, test), ufl.inner(difference, difference) * weight)
         )
         for number in domains:
             dof = dofs[:, np.arange(corners) != number - 1]  # without the opposite vertex

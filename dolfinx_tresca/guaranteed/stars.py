@@ -9,10 +9,10 @@ from scipy.sparse import bsr_array
 
 from dolfinx_tresca._base.arrays import Array, Indices, Mask
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, exchange, summed_at_nodes
-from dolfinx_tresca.guaranteed.cells import MeshCells, opposite, rigid_motions
+from dolfinx_tresca.guaranteed.cells import MeshCells, facet_vertices, rigid_motions
 
-#: Stiffness, relative to that of a cell, that is added so that no star is loose. Equations of stars
-#: are solved up to this number.
+#: Relative increase of the diagonal of the stars' equations, so that dependent equations, too, can
+#: be solved: up to a relative error of about this number.
 LOOSE = 1e-11
 
 
@@ -20,28 +20,28 @@ class Stars:
     """The stars of vertices: for each vertex the cells around it.
 
     A star balances the forces that are missing at its vertex, cell by cell in force and moment, by
-    the least tractions on the facets at the vertex (docs/theory/guaranteed.md). Tractions are those
-    of `_roots` times numbers x (facets, d * d, 1), so that their energy is |x|^2; `_work` times x
-    is their work on the rigid motions about each vertex of each cell.
+    the least tractions on the facets at the vertex (docs/theory/guaranteed.md). Tractions are the
+    matrices `_roots` times factors x (facets, d * d, 1), so that their energy is |x|^2; `_work`
+    times x is their work on the rigid motions about each vertex of each cell.
 
-    Tractions are on this rank's facets, ghosts included; loadings are of the cells it owns. The
-    rank that owns a vertex solves the equations of its star.
+    Tractions are on this rank's facets with ghosts; the owner of a vertex solves its equations.
     """
 
-    def __init__(self, cells: MeshCells, stiffness: Array, free: Mask) -> None:
+    def __init__(self, cells: MeshCells, energies: Array, unknown: Mask) -> None:
         """Factor the equations of all stars. Collective.
 
-        Facets' tractions have energies (n, d + 1, d * d, d * d); those `free` (n, d + 1, d) change.
+        `energies` (n, d + 1, d * d, d * d) give squared norms for tractions on one facet each;
+        stars change only the components of tractions that are `unknown` (n, d + 1, d).
         """
         d, comm, topology = cells.d, cells.V.mesh.comm, cells.V.mesh.topology
         self._cells, (n, corners) = cells, cells.facets.shape
-        # the energies of both sides have the inverse R R', with the roots R
-        sums = cells.facet_sums(stiffness)
-        unknown = np.tile(cells.facet_sums(free[:, :, None].astype(np.float64)) > 0.0, d)
-        both = np.swapaxes(unknown, 1, 2) & unknown
+        # the sum of both sides' energies has the inverse R R', with the roots R
+        sums = cells.facet_sums(energies)
+        changes = np.tile(cells.facet_sums(unknown[:, :, None].astype(np.float64)) > 0.0, d)
+        both = np.swapaxes(changes, 1, 2) & changes
         self._roots = both * np.linalg.cholesky(np.linalg.inv(np.where(both, sums, np.eye(d * d))))
         # the work of tractions on rigid motions; the facets at vertex k are opposite to near[k]
-        near = opposite(d)
+        near = facet_vertices(d)
         arms = cells.points[:, near[near]] - cells.points[:, :, None, None]
         # the means of two hat functions' products are 1 / d / (d + 1), twice this for equal ones
         work = rigid_motions((arms + arms.sum(axis=3, keepdims=True)) / (d + 1))
@@ -50,9 +50,9 @@ class Stars:
         work = work.reshape(n, corners, d, size, d * d) @ self._roots[facets]
         self._work = _block_rows(work, facets, len(sums)).tocsr()
         # Each cell sends its rows for a vertex to the owner of the vertex. Each star has its own
-        # tractions, in columns by the number of the facet, and of the vertex among its vertices
-        place = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
-        columns = cells.facet_map.local_to_global(facets.ravel()).reshape(facets.shape) * d + place
+        # tractions, in columns by the facet, and by the vertex's number among its vertices
+        number = np.arange(corners)[:, None] - (near < np.arange(corners)[:, None])
+        columns = cells.facet_map.local_to_global(facets.ravel()).reshape(facets.shape) * d + number
         firsts = comm.allgather(topology.index_map(0).local_range[0])
         self._owner = np.searchsorted(firsts, cells.vertices.ravel(), side="right") - 1
         columns, self._senders = exchange(comm, columns.reshape(-1, d), self._owner)
@@ -74,8 +74,8 @@ class Stars:
     def _balancing(self, missing: Array) -> Array:
         """Return the sum of the least tractions of all stars, as factors (facets, d * d, 1).
 
-        The tractions of a star have the forces and moments `missing` (n, d + 1, r) at its vertex of
-        each cell: their factors of `_roots` are W'(W W')^-1 `missing`. Collective.
+        The tractions of a star do the work `missing` (n, d + 1, r) on the r rigid motions of each
+        cell about the vertex: their factors of `_roots` are W'(W W')^-1 `missing`. Collective.
         """
         comm, owner = self._cells.V.mesh.comm, self._owner
         right, _ = exchange(comm, missing.reshape(len(owner), missing.shape[2]), owner)
@@ -88,22 +88,22 @@ class Stars:
         factors = (multipliers.ravel() @ self._work).reshape(self._roots.shape[:2])
         return summed_at_nodes(self._cells.facet_map, np.arange(len(factors)), factors)[..., None]
 
-    def preconditioned(self, gradient: Array) -> Array:
-        """Return a loading without resultants that decreases a quadratic function. Collective.
+    def preconditioned(self, descent: Array) -> Array:
+        """Return a change of loadings that balances itself, and lowers an energy. Collective.
 
-        It is the sum of the best corrections of all stars; `gradient` (n, d + 1, d + 1, d) is minus
-        the derivative by the loading.
+        It is the sum of the best corrections of all stars. `descent` (n, d + 1, d + 1, d) is minus
+        the derivative of the energy by the loading.
         """
         cells, d = self._cells, self._cells.d
-        forces = cells.facet_sums(cells.signs * gradient[:, :, :d]).reshape(-1, d * d, 1)
+        forces = cells.facet_sums(cells.signs * descent[:, :, :d]).reshape(-1, d * d, 1)
         tractions = np.swapaxes(self._roots, 1, 2) @ forces
         total = (self._work @ tractions.ravel()).reshape(*cells.facets.shape, d * (d + 1) // 2)
         return cells.on_sides(self._roots @ (d * tractions - self._balancing(total)))
 
     def equilibrated(self, loading: Array, stress: Array) -> Array:
-        """Return a loading that does the work of a stress at the vertices of cells. Collective.
+        """Return a loading whose forces and moments in each cell balance. Collective.
 
-        Its tractions are the given ones, elsewhere the means of those of both sides, with the least
+        Its tractions are those of `loading`, where both sides differ their means, plus the least
         corrections of all stars. `stress` is the loading of a stress in discrete equilibrium.
         """
         cells, d = self._cells, self._cells.d
@@ -115,7 +115,7 @@ class Stars:
 
 
 def _block_rows(blocks: Array, columns: Indices, width: int) -> bsr_array:
-    """Return a sparse matrix of blocks (..., k, r, c), k in a block row, in `columns` (..., k)."""
+    """Return a sparse matrix of blocks (..., k, r, c), k per block row, in `columns` (..., k)."""
     count, rows, size = blocks.shape[-3:]
     starts = np.arange(0, columns.size + 1, count, dtype=np.int32)
     entries = blocks.reshape(-1, rows, size), columns.ravel().astype(np.int32), starts

@@ -1,8 +1,8 @@
 """Output of problems and solutions: files for ParaView, pictures, and tables.
 
 A `Grid` is one mesh with its fields in VTK's layout, gathered on the first rank (`gather_grid`):
-the volume, or the surface of a pair (`grids_of`). Files, pictures and `to_pyvista` are made of
-grids. A `.pvd` lists the grids of each step of a series; a step exists once the list names it.
+the bodies, or the surface of a pair (`grids_of`). Files, pictures and `to_pyvista` are made of
+grids. A `.pvd` lists the `.vtu` files of each step of a series, one for each grid.
 
 A picture is a figure of matplotlib with a *panel* for the bodies and one for each pair. pyvista
 renders the *views* of bodies and surfaces, matplotlib draws all text and the chart of a contact

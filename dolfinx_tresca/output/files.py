@@ -55,7 +55,7 @@ _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": 
 
 
 def optional(name: str) -> Any:
-    """Import a module that only pictures and `to_pyvista` need."""
+    """Import a module that only pictures and `to_pyvista` need, or raise a ContactError."""
     try:
         return import_module(name)
     except (ImportError, AttributeError) as error:  # AttributeError: VTK lacks something
@@ -69,14 +69,14 @@ def optional(name: str) -> Any:
 
 @dataclass(frozen=True)
 class Grid:
-    """A mesh with each node and cell once.
+    """A mesh on one rank, with each node and cell once, and its fields, as VTK stores them.
 
     Attributes:
         dim: dimension of space, 2 or 3.
         points: (n, 3) nodes [length].
         cells: (m, 1 + k) number of nodes k, then the nodes in VTK's order.
         cell_types: (m,) VTK's numbers of the cell types.
-        values: name -> (n,), (n, 3) or (n, 9) values of a Function, padded with 0 in 2D.
+        values: name -> (n,), (n, 3) or (n, 9) nodal values of a Function, padded with 0 in 2D.
         cell_values: name -> (m,), (m, 3) or (m, 9) values of a Function that is constant in cells.
     """
 
@@ -131,7 +131,7 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
 
 
 def _rows(function: fem.Function) -> npt.NDArray[Any]:
-    """Return a Function's values (n,), (n, 3) or (n, 9), with zeros as third components of 2D."""
+    """Return a Function's values on this rank as for `Grid`, with 0 as third components of 2D."""
     shape = function.ufl_shape
     values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
     if isinstance(function, IntegerFunction):
@@ -143,10 +143,10 @@ def _rows(function: fem.Function) -> npt.NDArray[Any]:
 def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     """Return name -> grid of a solution on the first rank, an empty dict on others. Collective.
 
-    The grid "volume" has the displacement, the bodies, cell errors and the user's fields; its
-    degree is high enough for curved cells to be shown as curved. The grid "contact" is the surface
-    of a single pair, of degree 1. Of several pairs, each has a grid, named after the pair, with its
-    number if the name is taken.
+    The grid "volume" has the displacement, each cell's number of its body, cell errors and the
+    user's `fields`; its degree is at least that of curved cells. The grid "contact" is the surface
+    of a single pair, of degree 1. If there are several pairs, each has a grid, named after the
+    pair, with its number if the name is taken.
     """
     check_type("solution", solution, Evaluation, "what solve() has returned")
     u, surfaces = solution.u, solution.surfaces
@@ -176,7 +176,7 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
 
 
 def _of_cells(mesh: Any, name: str, cells: Any, values: npt.NDArray[Any]) -> IntegerFunction:
-    """Return a Function of degree 0 with integer values (n,) in given cells (n,). Collective."""
+    """Return a Function of degree 0 with integer values (n,) in cells (n,), else 0. Collective."""
     function = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name=name)
     function.x.array[cells] = values
     return function
@@ -214,9 +214,9 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
 
 
 def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Interpolate Functions to the highest degree of them and of the mesh. Collective.
+    """Interpolate Functions to the highest degree of them and of the mesh, for a grid. Collective.
 
-    Those of degree 0 stay as they are.
+    Functions of degree 0 stay as they are.
     """
     mesh = functions[0].function_space.mesh
     degrees = [function.function_space.ufl_element().degree for function in functions]
@@ -262,7 +262,7 @@ class SolutionWriter:
         self._path = Path(path)
         self._append = append
         self._latest_time = -math.inf
-        # attributes of the grids in the index, on the first rank, after the first step
+        # entries of the `.pvd`, one for each grid and step; on the first rank, after a first step
         self._series: list[dict[str, str]] | None = None
 
     @collective(comm_of("solution"), ignored=("time",))
@@ -291,10 +291,10 @@ class SolutionWriter:
         self._latest_time = float(time)
 
     def _write_step(self, time: float, grids: Mapping[str, Grid]) -> None:
-        """Write the grids of a step to a new folder, and then an index with this step.
+        """Write the grids of a step to a new folder, then the `.pvd` with this step; on one rank.
 
-        Until the index replaces the old one, all files of the older steps are as they were. After
-        the first step, remove those of an older series, and what a killed run has left.
+        Until it replaces the old `.pvd`, all files of older steps are as they were. After the first
+        step, remove the files of steps that it does not list: of an older series or a killed run.
         """
         if self._series is not None:
             series = list(self._series)
@@ -302,17 +302,17 @@ class SolutionWriter:
             series = self._earlier_steps(time)
         else:
             series = []
-        steps = self._path.with_suffix("")
-        folders = (steps / f"{i:04}" for i in itertools.count())
+        series_folder = self._path.with_suffix("")
+        folders = (series_folder / f"{i:04}" for i in itertools.count())
         folder = next(folder for folder in folders if not folder.exists())
         folder.mkdir(parents=True)
         try:
             for number, (name, grid) in enumerate(grids.items()):
                 write_vtu(folder / f"{name}.vtu", grid)
-                file = f"{steps.name}/{folder.name}/{name}.vtu"
+                file = f"{series_folder.name}/{folder.name}/{name}.vtu"
                 entry = {"timestep": repr(time), "part": str(number), "name": name, "file": file}
                 series.append(entry)
-            shutil.copyfile(STATE_COLOURS, steps / "state.json")
+            shutil.copyfile(STATE_COLOURS, series_folder / "state.json")
             root = _root("Collection")
             collection = ET.SubElement(root, "Collection")
             for entry in series:
@@ -325,13 +325,13 @@ class SolutionWriter:
             raise
         if self._series is None:
             kept = {Path(entry["file"]).parent.name for entry in series}
-            for step in steps.glob("[0-9]*"):
+            for step in series_folder.glob("[0-9]*"):
                 if step.name.isdecimal() and step.name not in kept:
                     _remove_grids(step)
         self._series = series
 
     def _earlier_steps(self, time: float) -> list[dict[str, str]]:
-        """Return the entries of the existing index before a time."""
+        """Return the entries of the existing `.pvd` before a time, for an appending writer."""
         try:
             entries = [item.attrib for item in ET.parse(self._path).iter("DataSet")]
             return [entry for entry in entries if float(entry["timestep"]) < time]

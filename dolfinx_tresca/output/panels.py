@@ -1,7 +1,7 @@
 """The panels of a picture: views of bodies and of surfaces, and the chart of a contact curve of 2D.
 
-A panel is a `SubFigure` of matplotlib, which draws titles, legends, colour bars and charts; places
-in it are in inches. pyvista renders the views.
+A panel is a `SubFigure` of matplotlib, which draws titles, legends, colour bars and charts.
+Positions in it are in inches. pyvista renders the views.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ALONG_Y, ALONG_Z = np.eye(3)[1:]  #: up in views of 2D; up in views of 3D
 OUTLINE, OPEN_LINE = "#6e6e6e", "#202020"  #: colours of undeformed edges, of open curves
 OBSTACLE_COLOUR = "#a9b8c6"  #: colour of obstacles
 
-#: VTK's numbers of Lagrange tetrahedra and hexahedra -> number and corners of the linear cells.
+#: VTK's types of Lagrange tetrahedra and hexahedra -> type and number of corners of linear ones.
 LINEAR = {71: (10, 4), 72: (12, 8)}
 
 VISIBLE = 0.1  #: largest displacement in the picture, divided by the length of the model
@@ -48,13 +48,13 @@ SAMPLES = 300_000  #: approximate number of points at which the distance of an o
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact surface, gathered on one rank.
+    """A contact surface, gathered on one rank, with what its panel shows.
 
     Attributes:
         grid: the fields of the surface. Its "slip" is that of this step, and zero at sticking
             nodes; only pairs with friction have it. "pressed" is 1 at nodes that are drawn as
             touching, 0 at open ones; "sticks" is 1 at nodes that stick.
-        title: name of the pair with its number; "" for a single pair.
+        title: number and name of the pair after a space, to add to titles; "" for a single pair.
         label: number of the pair; "" for a single pair.
         slip_name: name of the slip: "slip", or "slip of step" after an accepted load step.
         obstacle: the other side, if it is rigid; else None.
@@ -71,7 +71,7 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     """Return the surface of a pair, gathered on the first rank; None on others. Collective.
 
     A node that carries no multiplier, such as the tip of a crack or a prescribed node, is drawn as
-    touching if all nodes beside it touch, and each of its facets has a node that carries one.
+    touching if each of its facets has nodes that carry multipliers, and all of these touch.
     """
     grid = gather_grid((*surface.functions, surface.initial_gap))
     if grid is None:
@@ -99,7 +99,7 @@ def size_of(panel: Any) -> tuple[float, float]:
 
 
 def axes_at(panel: Any, left: float, bottom: float, width: float, height: float) -> Any:
-    """Return axes that fill a rectangle of a panel [inches]."""
+    """Add axes that fill a rectangle of a panel [inches], for a chart, view or bar; return them."""
     wide, high = size_of(panel)
     return panel.add_axes((left / wide, bottom / high, width / wide, height / high))
 
@@ -116,7 +116,7 @@ def write_header(panel: Any, title: str, legend: Sequence[Any]) -> None:
 
 
 def handle(label: str, color: str, marker: str = "", **options: Any) -> Any:
-    """Return an entry of a legend: a marker as in matplotlib, or a line."""
+    """Return an entry of a legend: matplotlib's `marker`, or a line if it is ""."""
     from matplotlib.lines import Line2D
 
     style = {"linestyle": "" if marker else "-", "markersize": 5.0, **options}
@@ -126,8 +126,8 @@ def handle(label: str, color: str, marker: str = "", **options: Any) -> Any:
 def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, float]:
     """Return the ends of a colour bar for values (n,) >= 0, and the largest value.
 
-    The bar begins at zero, unless all values are far from zero. With `clip` it may end, at a round
-    number, below a few values that are much larger.
+    The bar begins at zero, unless all values exceed half of the largest. With `clip` it may end, at
+    a round number, below a few values that are much larger.
     """
     least, largest = float(values.min(initial=math.inf)), float(values.max(initial=0.0))
     usual = float(np.percentile(values, 85.0)) if clip and len(values) else 0.0
@@ -138,15 +138,15 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
     return least if far else 0.0, largest or 1.0, largest
 
 
-def draw_bar(panel: Any, name: str, unit: str, cmap: str, limits: Sequence[float]) -> None:
-    """Draw a colour bar for a `colour_range`; an arrow and a text show a peak beyond it."""
+def draw_bar(panel: Any, name: str, unit_name: str, cmap: str, limits: Sequence[float]) -> None:
+    """Draw a colour bar for `limits`, a `colour_range`; arrow and text show a peak beyond it."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     low, high, largest = limits
     width, _ = size_of(panel)
     axes = axes_at(panel, 0.27 * width, 0.42, 0.58 * width, 0.12)
-    label, extend = labelled(name, unit), "neither"
+    label, extend = labelled(name, unit_name), "neither"
     if largest > high:
         label, extend = f"{label}, at most {largest:.3g}", "max"
     colours = ScalarMappable(Normalize(low, high), cmap)
@@ -156,9 +156,9 @@ def draw_bar(panel: Any, name: str, unit: str, cmap: str, limits: Sequence[float
     axes.xaxis.labelpad = 1.5
 
 
-def labelled(name: str, unit: str) -> str:
+def labelled(name: str, unit_name: str) -> str:
     """Return a label such as "slip [mm]", or the name alone without a unit."""
-    return f"{name} [{unit}]" if unit else name
+    return f"{name} [{unit_name}]" if unit_name else name
 
 
 def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
@@ -168,8 +168,8 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     they are sorted by x, then by y. A closed piece runs counterclockwise and ends where it begins.
 
     Returns:
-        for each piece: its k nodes; (k,) arc lengths [length], which increase from piece to piece,
-        with a gap of 4 %; and (k, 3) unit vectors along the curve.
+        for each piece: its k nodes; (k,) arc lengths [length], which go on from piece to piece with
+        a gap of 4 % of the length so far; and (k, 3) unit vectors along the curve.
     """
     points, lines = grid.points, grid.cells[:, 1:]
     neighbours = coo_array((np.ones(len(lines)), lines.T), shape=2 * (len(points),)).tocsr()
@@ -188,11 +188,11 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
             a, b = points[nodes[:-1], :2].T, points[nodes[1:], :2].T
             # counterclockwise, with a positive area
             nodes = nodes if np.sum(a[0] * b[1] - b[0] * a[1]) > 0.0 else nodes[::-1]
-        places = points[nodes]
-        directions = np.gradient(places, axis=0)
+        positions = points[nodes]
+        directions = np.gradient(positions, axis=0)
         if closed:  # both neighbours of the node count
-            directions[[0, -1]] = places[1] - places[-2]
-        steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+            directions[[0, -1]] = positions[1] - positions[-2]
+        steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         curves.append((nodes, start_of_arc + np.append(0.0, np.cumsum(steps)), unit(directions)))
         start_of_arc = 1.04 * curves[-1][1][-1]
     return curves
@@ -213,9 +213,9 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
     if values["sticks"].any():
         legend.append(handle("sticks", "black", "o"))
     width, height = size_of(panel)
-    places = {"left": 0.65 / width, "right": 1.0 - 0.25 / width, "hspace": 0.14}
-    places |= {"bottom": 0.5 / height, "top": 1.0 - (HEADER + 0.05) / height}
-    rows = {"height_ratios": (0.64, 0.36)[: len(charts)], "gridspec_kw": places}
+    margins = {"left": 0.65 / width, "right": 1.0 - 0.25 / width, "hspace": 0.14}
+    margins |= {"bottom": 0.5 / height, "top": 1.0 - (HEADER + 0.05) / height}
+    rows = {"height_ratios": (0.64, 0.36)[: len(charts)], "gridspec_kw": margins}
     all_axes = panel.subplots(len(charts), sharex=True, squeeze=False, **rows)[:, 0]
     for axes, (names, label, axis_unit) in zip(all_axes, charts, strict=True):
         for nodes, s, directions in unrolled(contact.grid):
@@ -256,12 +256,12 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
         right = np.cross(up, normal)
         directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
-        across, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
+        sideways, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
         width, height = size_of(panel)
         height -= HEADER + FOOTER
         plotter.enable_parallel_projection()
         plotter.view_vector(normal, viewup=up)
-        plotter.camera.parallel_scale = max(upward / 0.96, across / 0.92 * height / width) or 1.0
+        plotter.camera.parallel_scale = max(upward / 0.96, sideways / 0.92 * height / width) or 1.0
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
@@ -290,7 +290,7 @@ def skin(grid: Any) -> Any:
 
 
 def corner_grid(volume: Grid) -> Grid:
-    """Return a grid in which tetrahedra and hexahedra have no nodes but their corners.
+    """Return a grid whose tetrahedra and hexahedra have no nodes but corners, to find edges in.
 
     If two cells of degree 2 have the nodes of their common face in different orders, VTK takes the
     face for an outer one of both, and then finds no edges of the bodies.
@@ -301,11 +301,11 @@ def corner_grid(volume: Grid) -> Grid:
 
 
 def draw_bodies(
-    panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, unit: str
+    panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, length: str
 ) -> None:
     """Draw bodies with a magnified displacement, contact curves of 2D, and rigid obstacles.
 
-    Without a scale, `magnification` chooses it. `unit` names the unit of length.
+    Without a `scale` of displacements, `magnification` chooses it. `length` names the unit.
     """
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2
@@ -339,7 +339,7 @@ def draw_bodies(
             legend.append(handle("contact", CURVE_COLOUR, linewidth=2.8))
             legend.append(handle("open", OPEN_LINE, linewidth=0.8))
             legend.append(handle("start", OPEN_LINE, "o"))
-    draw_bar(panel, "displacement", unit, "viridis", limits)
+    draw_bar(panel, "displacement", length, "viridis", limits)
     title = "Displacement" + (f", magnified {scale:,.12g} times" if scale != 1.0 else "")
     write_header(panel, title, legend)
 
@@ -374,8 +374,8 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
     """Draw an obstacle near points (n, 3) of the bodies, and return whether any of it is there.
 
-    In 2D (`flat`) its inside is drawn, in 3D its surface; sides that are seen from within the
-    obstacle are transparent, so that they do not hide the points.
+    In 2D (`flat`) its inside is drawn, in 3D its surface; where this is seen from within the
+    obstacle, it is transparent, so that it does not hide the bodies.
     """
     import pyvista
 
@@ -409,7 +409,7 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
 
 
 def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None:
-    """Draw a contact curve on the deformed bodies: thick and red where it is pressed."""
+    """Draw a contact curve on the deformed bodies, thick and red where pressed, and its start."""
     curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale).translate(lift)
     pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
     plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
@@ -468,10 +468,10 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
             text = f"{contact.slip_name}, at most {largest:.3g} {length}".rstrip()
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
         if (values["sticks"] > 0.0).any():
-            places = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
+            centres = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
             radius = 0.17 * math.sqrt(surface.area / max(surface.n_points, least))
             disc = pyvista.Disc(inner=0.0, outer=radius, normal=normal, c_res=20)
-            discs = places.glyph(geom=disc, orient=False, scale=False)
+            discs = centres.glyph(geom=disc, orient=False, scale=False)
             plotter.add_mesh(discs, color="black", lighting=False)
             legend.append(handle("sticks", "black", "o"))
     if pressed.any():
@@ -487,17 +487,17 @@ def with_normals(grid: Any) -> Any:
 def direction(surface: Any) -> tuple[Array, Array]:
     """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
 
-    Upward is z or y; a surface that is more than 1.5 times as high as wide is turned by 90 degrees.
-    A closed surface is seen obliquely.
+    The viewer is on the positive side of the axis nearest to the normal. Upward is z, or y if the
+    normal is near z; a surface that is more than 1.5 times as high as wide is turned by 90 degrees.
     """
     sized = surface.compute_cell_sizes(length=False, volume=False)
     mean = sized.cell_data["Normals"].T @ sized.cell_data["Area"]
-    if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: no side is better
+    if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: seen obliquely
         return OBLIQUE, ALONG_Z
     normal = mean / np.linalg.norm(mean)
     normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
     up = ALONG_Z if abs(normal[2]) < 0.9 else ALONG_Y
-    across = np.cross(up, normal)
+    right = np.cross(up, normal)
     up = up - (up @ normal) * normal
-    higher = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ across)
-    return normal, -across if higher else up
+    higher = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ right)
+    return normal, -right if higher else up

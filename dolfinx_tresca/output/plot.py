@@ -115,7 +115,7 @@ def plot(
 def compose(
     volume: Grid, contacts: Sequence[Contact], scale: float | None, units: Units | None
 ) -> Any:
-    """Return the picture as a figure, in matplotlib's current style.
+    """Return the picture of `plot` as a figure, in matplotlib's current style.
 
     The bodies are on the left, no taller than two rows, and each contact has a row on the right.
     """
@@ -140,8 +140,8 @@ def compose(
 def display_for_pictures() -> Iterator[None]:
     """Let VTK render within a `with` block, also without a display.
 
-    Without a display, VTK 9.5 and later render through EGL, if the system has this library. Other
-    versions would end in a segmentation fault: for these Xvfb, an X server, is started.
+    On Linux without a display, VTK 9.5 and later render through EGL if the system has it.
+    Otherwise VTK would end in a segmentation fault: for this case Xvfb, an X server, is started.
     """
     import pyvista
 
@@ -158,7 +158,7 @@ def display_for_pictures() -> Iterator[None]:
 
 
 def x_server(stack: ExitStack) -> str:
-    """Run the X server Xvfb until a stack ends, and return its DISPLAY."""
+    """Run the X server Xvfb until `stack` is closed, and return its DISPLAY, for VTK."""
     program = shutil.which("Xvfb")
     if program is None:
         raise ContactError(

@@ -52,20 +52,20 @@ text { font-size: 12px; text-anchor: middle; paint-order: stroke; stroke: white;
 </style></head>"""
 
 
-#: The graph shows forces of at least this fraction of the largest one, between at most this number
-#: of bodies: the names of more bodies would cover each other.
+#: The graph shows forces above this fraction of the largest one. It is left out for more than this
+#: number of bodies, whose names would cover each other.
 SHOWN_FORCE, MOST_BODIES = 1e-3, 24
 
 
 @dataclass(frozen=True)
 class ProblemSummary:
-    """Sizes of a problem, over all ranks.
+    """Sizes of a problem, over all ranks, for `print(problem)`.
 
     Attributes:
         dofs: degrees of freedom of the displacement, and `free_dofs` those that are not prescribed.
-        contact_nodes: m, places of multipliers: on sharp edges one for each smooth patch.
-        size_rows: the rows that do not belong to pairs.
-        pairs: for each pair its name, kind and number of nodes; range of the gap; and law.
+        contact_nodes: m; a node on a sharp edge counts once for each of its paired smooth patches.
+        size_rows: rows of the printed table with sizes of the whole problem.
+        pairs: for each pair a text with name, kind and number of nodes; range of the gap; and law.
     """
 
     dofs: int
@@ -96,18 +96,18 @@ class ProblemSummary:
             texts.append((f"{pair}, {kind}: {counted}", gap * (nodes > 0), pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
 
-        kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
+        cell_kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
         count = system.negative_pivots  # the unknowns that are no displacements, as pressures
         beside = f", beside {count} unknowns of other kinds" if count else ""
         size_rows = (
-            ("mesh", f"{cells} cells ({kind}), MPI ranks: {comm.size}"),
+            ("mesh", f"{cells} cells ({cell_kind}), MPI ranks: {comm.size}"),
             ("displacements", f"{dofs}, {free_dofs} of them free{beside}"),
             ("contact nodes", f"{contact_nodes}"),
         )
         return cls(dofs, free_dofs, contact_nodes, size_rows, tuple(texts))
 
     def rows(self, units: Units | None) -> list[Row]:
-        """Return the rows of the table: the sizes, and the first pairs."""
+        """Return the rows of the printed table: the sizes, then rows of the first pairs."""
         pair_rows = [
             ("  pair", f"{pair}, " + f"{with_unit(gap, units, 'length')}, " * bool(gap) + f"{law}")
             for pair, gap, law in self.pairs
@@ -116,18 +116,18 @@ class ProblemSummary:
 
 
 def figures(values: npt.ArrayLike, error: float) -> str:
-    """Return a number or a vector with as many digits, 1 to 8, as its relative error justifies."""
+    """Return the text of a number or vector with as many digits, 1 to 8, as its `error` allows."""
     digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
     largest = float(np.abs(values).max())
-    places = digits - 1 - int(np.floor(np.log10(largest))) if 0.0 < largest < np.inf else 0
+    decimals = digits - 1 - int(np.floor(np.log10(largest))) if 0.0 < largest < np.inf else 0
     # + 0.0: components that are rounded to zero have no sign
-    texts = [f"{round(float(x), places) + 0.0:.{digits}g}" for x in np.atleast_1d(values)]
+    texts = [f"{round(float(x), decimals) + 0.0:.{digits}g}" for x in np.atleast_1d(values)]
     components = f",{UNBROKEN}".join(texts)
     return f"({components})" if np.ndim(values) else components
 
 
 def _may_be_zero(results: Evaluation) -> bool:
-    """Return whether no node is pressed or bonded and the error is as large as the solution."""
+    """Return whether no node is pressed or bonded, and the error as large as the displacement."""
     counts = results.counts
     return counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
 
@@ -155,7 +155,7 @@ def contact_rows(
 ) -> list[Row]:
     """Return the rows of the contact: counts of nodes, largest values, forces, and energies.
 
-    Values have the digits that the error of nodal values justifies.
+    Values have the digits that `results.local_error` justifies, energies enough to differ.
     """
     counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
     dim = 3 if results.axisymmetric else dim  # forces on whole rings
@@ -232,7 +232,7 @@ def contact_rows(
 
 
 def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
-    """Return the HTML page of a `ContactSolution` and of earlier load steps, on the first rank.
+    """Return the HTML page of a `ContactSolution` and of earlier load steps; on the first rank.
 
     The page includes a picture, a `PIL` image, and the text of the script that is running.
     """
@@ -271,10 +271,10 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
 
 
 def force_graph(solution: Any) -> str:
-    """Return an SVG: bodies as dots, forces between them as lines; "" without forces."""
+    """Return an SVG, bodies as dots, forces as lines; "" without forces or for many bodies."""
     names = [*solution.body_names, "rigid obstacles"]
     forces = {bodies: resultant.force for bodies, resultant in solution.between_bodies.items()}
-    # the force of obstacles on a body is that of all contact minus those of other bodies
+    # the force of obstacles on a body is the whole contact force minus forces of other bodies
     by_obstacles = [np.array(resultant.force) for resultant in solution.body_resultants]
     for (i, j), force in forces.items():
         by_obstacles[i] -= force
@@ -308,7 +308,7 @@ def force_graph(solution: Any) -> str:
 
 
 def environment() -> str:
-    """Return a table of the versions of all software that a solve uses."""
+    """Return a table of the versions of all software that solves and pictures use."""
     package, libraries = sys.modules["dolfinx_tresca"], loaded_libraries()
     petsc = ".".join(map(str, PETSc.Sys.getVersion()))
     scalars, indices = np.dtype(PETSc.ScalarType), np.dtype(PETSc.IntType)

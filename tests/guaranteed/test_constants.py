@@ -15,8 +15,8 @@ from dolfinx_tresca.guaranteed.cells import (
     TRACE,
     Simplices,
     StressEnergies,
+    facet_vertices,
     mean_products,
-    opposite,
     rigid_motions,
 )
 
@@ -56,7 +56,7 @@ class DividedSimplex:
         keys, self.dofs = {}, np.zeros((n, d + 1, d, d), dtype=int)
         self.signs, facets = np.ones((n, d + 1, 1, 1)), np.empty((n, d + 1), dtype=int)
         for cell, j in np.ndindex(n, d + 1):
-            points = self.cells.points[cell, opposite(d)[j]]
+            points = self.cells.points[cell, facet_vertices(d)[j]]
             order = np.lexsort(points.T)
             key = tuple(map(tuple, points[order].round(12)))
             self.signs[cell, j] = -1.0 if key in keys else 1.0
@@ -229,7 +229,7 @@ def test_linear_stresses_are_in_the_element(d):
     linear = rng.standard_normal((5, d + 1, d, d))
     linear += np.swapaxes(linear, 2, 3)
     squares = np.einsum("kl,nkab,nlab->n", mean_products(d + 1, 2), linear, linear)
-    assert np.allclose(energies.squared_norms(cells.loading_of(linear)), squares * cells.volumes)
+    assert np.allclose(energies.squared_norms(cells.to_loading(linear)), squares * cells.volumes)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -249,5 +249,5 @@ def test_stresses_of_the_element_do_the_work_of_their_data(d):
     loading += np.tensordot(size, loads, axes=1)
     slope = rng.standard_normal((d, d))
     work = (cells.resultants(loading) * (cells.points @ slope.T)).sum()
-    strain = cells.loading_of(np.broadcast_to(0.5 * (slope + slope.T), (1, d + 1, d, d)))
+    strain = cells.to_loading(np.broadcast_to(0.5 * (slope + slope.T), (1, d + 1, d, d)))
     assert np.isclose((strain * energies.derivative(loading)).sum(), work)
