@@ -231,11 +231,10 @@ class FloatingBodies:
         A term sum is the sum of |U| |f| over the nodes, where |.| is the length of a vector at a
         node, which does not depend on the axes. A resultant below the rounding of its terms is 0.
         """
-        # adds up the components at each node; in mixed spaces, U = 0 and it adds any unknowns
+        # `sums` of components at each node; in mixed spaces, U = 0 and it adds up any unknowns
         U, dim = self.displacements, self.modes.dim
-        add_components = kron(eye_array(-(-len(f) // dim)), np.ones((1, dim)), format="csr")
-        add_components = add_components[:, : len(f)]
-        lengths, forces = (add_components @ U.power(2)).sqrt(), np.sqrt(add_components @ f**2)
+        sums = kron(eye_array(-(-len(f) // dim)), np.ones((1, dim)), format="csr")[:, : len(f)]
+        lengths, forces = (sums @ U.power(2)).sqrt(), np.sqrt(sums @ f**2)
         terms: Array = reduce_array(self.modes.comm, lengths.T @ forces)
         result: Array = reduce_array(self.modes.comm, U.T @ f)
         result[np.abs(result) <= ROUNDING * terms] = 0.0

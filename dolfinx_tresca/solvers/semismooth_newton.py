@@ -242,7 +242,7 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
 def interior_guesses(
     newton: SemismoothNewton, model: WholeModel, start: NewtonPoint
 ) -> Iterator[NewtonPoint]:
-    """Yield points of `interior_point`, from which Newton's method may begin. Collective.
+    """Yield points of `interior_point`, and zero, from which Newton's method begins. Collective.
 
     The first point is near a solution of the problem. If slip bounds depend on the pressure, each
     further point is near the solution of Tresca's problem with the bounds at the point before.
@@ -257,6 +257,7 @@ def interior_guesses(
         x = cones.project(x)
         r = r_at_zero + model.apply(x) - G @ c
         yield newton.point(x, c, r)
+    yield newton.point(0.0 * x, c, r_at_zero - G @ c)
 
 
 def solve_model(
