@@ -38,7 +38,7 @@ RUNS = {
     "guaranteed": ("--scenes slips --sizes 4", "bound"),
     "finite_sliding": ("--scenes ironing --ironing 20 --cells 2 --way 0.1 --cases", "newton_steps"),
     "gradients": ("--sizes 3 --scenes free_end_2 --backends cholesky", "values"),
-    "published": ("--cases shrink_fit incline one_node --meshes 1", "value"),
+    "published": ("--cases shrink_fit incline one_node --meshes 1", "size"),
     "ablation": ("--scenes floating --parts solvers.products.SHIFT", "total"),
     "convergence": ("--cells triangle --degrees 1 --sizes 1 2", "energy"),
 }
