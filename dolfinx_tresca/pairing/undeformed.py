@@ -140,7 +140,7 @@ def _same(pair: ContactPair, second: ContactPair) -> bool:
 def _strength(law: Friction) -> tuple[int, float, float]:
     """Return what orders laws by strength: kind, coefficient of friction and constant bound.
 
-    Kinds are 2 if bonded, 1 with friction, else 0. The larger of two bounds counts, a function as 0.
+    Kinds are 2 if bonded, 1 with friction or 0. Of two bounds the larger counts, a function as 0.
     """
     if not isinstance(law, DryFriction):
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
