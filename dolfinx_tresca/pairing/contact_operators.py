@@ -278,7 +278,7 @@ class ContactOperators:
         return in_V.matMult(as_petsc(nodes, 1, [interpolation], self.comm))
 
     def _multiplied(self, Q: Any, values: Array, *, transposed: bool = False) -> Array:
-        """Return P f (n, k) of f (owned nodes of Q, k); `transposed`, P'f of f (n, k). Collective."""
+        """Return P f (n, k) for f (owned nodes of Q, k), or P'f for f (n, k). Collective."""
         P = self._in_space(Q, self._pair.primary)
         columns = dense_matrix(values, self.comm)
         product = P.transposeMatMult(columns) if transposed else P.matMult(columns)
