@@ -1,8 +1,8 @@
 """Which points of two surfaces meet: their normals, gaps, and the jump operators N and T.
 
-Facets with tags become surfaces; each surface sees the other along its normals; mortar integrals
-over the overlap give the jump of the displacement at the secondary nodes, in the dual basis. A
-rigid obstacle has no facets: its signed distance takes the place of the other surface.
+Facets with tags become surfaces; secondary facets seek primary ones along their normals; mortar
+integrals over the overlap give the jump of the displacement at the secondary nodes, in the dual
+basis. A rigid obstacle has no facets: its signed distance takes the place of the primary surface.
 
 Nouns:
 
@@ -10,12 +10,12 @@ Nouns:
 - `Undeformed`: the group with the facets of both sides, which are displaced for each later pairing.
 - `Facets`, `SurfaceNodes`: a surface on this rank with the shape functions of its facets, and its
   corners, which may carry multipliers, with an entry for each smooth patch (`facets.py`).
-- `Pieces`: the straight pieces into which curved facets are cut, and the search for those along
-  normals; `halos` finds those of other ranks, too (`pieces.py`).
-- `Visibility`, `SelfContact`: what is hidden by a body; on a surface that touches itself, which
+- `Pieces`: the straight pieces into which curved facets are cut, and the search for pieces along
+  normals; `halos` copies the facets of other ranks that this rank needs (`pieces.py`).
+- `Visibility`, `SelfContact`: which points a body hides; on a surface that touches itself, which
   facets may meet, and which of two is secondary (`visibility.py`).
-- `SmoothSurface`: the surface that facets approximate; the contact normal follows from how both
-  sides turn (`contact_normal.py`, which derives the rule).
+- `SmoothSurface`: the surface that facets approximate; the contact normal follows from the angles
+  by which the normals of both sides turn (`contact_normal.py`, which derives the rule).
 - `FacetIntegrals`: integrals over the parts of facets that face the other side: `MortarIntegrals`
   over the overlap of both surfaces, `obstacle_integrals` over facets that face an obstacle.
 - `PairOperators`: N, T, gaps and areas at the nodes of a pair that carry multipliers

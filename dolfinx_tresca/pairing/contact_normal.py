@@ -10,7 +10,7 @@ side's normal turns over the facet there, in the direction in which the two norm
 turns round its shaft, and not along it. If the sides are exchanged, the normal is reversed.
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
-vector between the surfaces, projected onto this direction, so that the rows of N are its variation.
+vector between the surfaces, projected onto this direction; N u is by how much u closes the gap.
 A rigid obstacle that the mesh resolves keeps its exact normal (`mortar_integrals.RESOLVED_ANGLE`).
 """
 
@@ -27,31 +27,31 @@ from dolfinx_tresca.pairing.facets import MESH_ROUNDING, SurfaceNodes, tangents
 #: paired: flat facets farther from being parallel touch at their ends only. With twice this angle a
 #: chamfer of 45 degrees is paired with its wall; with half, wedges lose partners as they rotate.
 OPPOSED_ANGLE = 0.5
-#: Length of the mean of unit normals up to which they cancel, and the own normal is kept.
+#: Length of a mean of unit normals up to which they cancel; the own normal then takes its place.
 CANCELLED = 0.1
 
 #: Sum of the slopes at both ends of a side of a facet, relative to their difference, up to which
 #: the surface counts as curved over the side. Towards 1, at a kink between flat facets, the height
 #: falls to zero. (With half of this, heights on irregular meshes would change.)
 UNEVEN = 0.5
-#: Angle by which normals turn over a facet next to a kink [rad] up to which the mean normals at the
-#: kink are kept; from twice this angle on, the facet's own normal takes their place. (With
+#: Angle by which normals turn over a facet next to a kink [rad] up to which the fitted normals at
+#: the kink are kept; from twice this angle on, the facet's own normal takes their place. (With
 #: zero, the friction of a block on a plank that it dents varies by 1 % as nodes pass.)
 KINK_ANGLE = 0.1
 #: Angle by which normals turn over a facet [rad] below which the facet counts as flat, so that
 #: rounding does not decide between two flat sides, whose normals are equal to this accuracy.
 FLAT_ANGLE = 1e-3
 
-#: Weights of the Tikhonov regularisation of the quadratic fit, relative to a neighbour's height: of
-#: the two slopes, of the mean curvature and of two differences of curvatures. With few neighbours
-#: the fit stays close to a sphere with the mean normal.
+#: Weights of the Tikhonov regularisation in `fitted_normals`, relative to that of a neighbour's
+#: height: of the two slopes, of the mean curvature and of two differences of curvatures. With few
+#: neighbours the fit stays close to a sphere with the mean normal.
 TILT_COST, CURVATURE_COSTS = 1e-1, (0.0, 1e-3, 1e-3)
 
 
 def contact_normals(own: Array, partner: Array, own_turn: Array, partner_turn: Array) -> Array:
-    """Return the contact normals (..., 3) at points of the secondary side.
+    """Return the unit contact normals (..., 3) at points of the secondary side.
 
-    The outward unit normals (..., 3) of both sides turn over facets by angles (...) [rad].
+    The outward unit normals `own` and `partner` (..., 3) turn over facets by angles (...) [rad].
     """
     square, partner_square = own_turn**2 + FLAT_ANGLE**2, partner_turn**2 + FLAT_ANGLE**2
     share = (partner_square / (square + partner_square))[..., None]  # of the own normal
@@ -66,24 +66,24 @@ class SmoothSurface:
     The normals n_c of the fitted surface are known at the corners x_c (`fitted_normals`). Over each
     point of a straight facet the mean of the heights of the tangent planes, weighted with the hat
     functions h_c, is twice the height (sagitta) of a parabolic surface. So this height is the sum
-    over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2: correct to second order in the
-    size of the facet. On a parabolic surface (n_c + n_d).(x_d - x_c) is zero; next to a kink
-    between flat facets, where the normal leans at one corner only, it is as large as the
-    difference: there the height is zero, and beyond `KINK_ANGLE` the surface is the facet itself.
-    Facets with curved edges (degree 2) have no height, and normals of their own.
+    over pairs of corners of h_c h_d (n_d - n_c).(x_d - x_c) / 2, to second order in the facet's
+    size. On a parabolic surface (n_c + n_d).(x_d - x_c) is zero; next to a kink between flat
+    facets, where the normal leans at one corner only, it is as large as the difference: there the
+    height is zero, and beyond `KINK_ANGLE` the surface is the facet itself. If any facet has curved
+    edges (degree 2), none has a height, and their normals are those of the facets.
 
     Attributes:
         turns: (n,) angle by which the normal turns over each facet [rad]: twice the largest angle
             between its normal and those at its corners; next to a kink it falls to zero.
         is_flat: whether no facet of this rank has a height, and no normal turns.
-        across: (n, k, 3) outward unit normals of the smooth patches behind the sharp edges at each
-            facet (`_normals_across_edges`). At the ends of a curve (2D) the body is taken to go on
-            at right angles, as at the corner of a box.
+        beyond_edges: (n, k, 3) outward unit normals of the smooth patches beyond the sharp edges at
+            each facet (`_normals_beyond_edges`), or zero. At the ends of a curve (2D) the body is
+            taken to go on at right angles, as at the corner of a box.
         corner_normals: (n, corners, 3) outward unit normals of the surface at corners of facets.
     """
 
     def __init__(self, nodes: SurfaceNodes) -> None:
-        """Fit the surface; valid for facets with two rings on this rank. Not collective."""
+        """Fit the surface; valid on facets with two rings around (`halos`). Not collective."""
         facets = nodes.facets
         # a node is at the rim if it is on a side that belongs to one facet only
         sides = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
@@ -92,18 +92,17 @@ class SmoothSurface:
         at_rim = np.isin(nodes.facet_nodes, sides[count == 1])
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
-        self._first, self._second = np.triu_indices(facets.corners, 1)  # corners of each pair
-        # the normals and heights of the fitted surface
+        self._first, self._second = np.triu_indices(facets.corners, 1)  # pairs of corners
         self.corner_normals = fitted_normals(nodes)[nodes.facet_nodes]
         smooth = self._smoothness(nodes, at_rim)
         if facets.dim == 1:
             self._turn_end_normals(at_rim, smooth)
         cosines = dots(self.corner_normals, self._facet_normals[:, None])
-        self._height_factors = self._heights_of_pairs(smooth, cosines)
+        self._height_factors = self._corner_pair_heights(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
         kinked = (1.0 - smooth) * np.clip(turned_angles(cosines) / KINK_ANGLE - 1.0, 0.0, 1.0)
-        self._mean_normals, kinked = self.corner_normals, kinked[:, None, None]
-        self.corner_normals = (1.0 - kinked) * self._mean_normals
+        self._fitted_normals, kinked = self.corner_normals, kinked[:, None, None]
+        self.corner_normals = (1.0 - kinked) * self._fitted_normals
         self.corner_normals += kinked * self._facet_normals[:, None]
         # where the geometry is known, its normals take the place of `corner_normals`
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
@@ -115,23 +114,23 @@ class SmoothSurface:
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
-        # the ends of the surface: sharp edges, and rims. In 3D flat facets have no end at a rim: a
-        # slab of one layer of cells has no other facets. Those that turn by `KINK_ANGLE` have one;
-        # between, normals change continuously. Facets whose geometry is known have none
-        self.across = _normals_across_edges(nodes)
+        # `_at_end` (n,) is 1 for facets where the surface ends: at a sharp edge, or at a rim. In 3D
+        # flat facets at a rim do not count: a slab of one layer of cells has no others. Those that
+        # turn by `KINK_ANGLE` do, others count in part, and those with known geometry never
+        self.beyond_edges = _normals_beyond_edges(nodes)
         curved = np.minimum(self.turns / KINK_ANGLE, 1.0) ** (2 if facets.dim == 2 else 0)
         at_curved_rim = curved * (at_rim.any(axis=1) & ~self._exact)
-        self._at_end = np.maximum(self.across.any(axis=(1, 2)), at_curved_rim)
+        self._at_end = np.maximum(self.beyond_edges.any(axis=(1, 2)), at_curved_rim)
         if facets.dim == 1:
             ahead = self._corners - self._corners[:, ::-1]
             ahead *= (at_rim / np.linalg.norm(ahead, axis=2))[:, :, None]
-            self.across = np.concatenate([self.across, ahead], axis=1)
+            self.beyond_edges = np.concatenate([self.beyond_edges, ahead], axis=1)
 
-    def _heights_of_pairs(self, smooth: Array, cosines: Array) -> Array:
-        """Return the factors (n, pairs) of h_c h_d in the height of the fitted surface [length].
+    def _corner_pair_heights(self, smooth: Array, cosines: Array) -> Array:
+        """Return the factors (n, pairs of corners) of h_c h_d in the fitted height [length].
 
         They are zero next to kinks, where facets are not `smooth` (n,), and on all facets if none
-        has a height beyond rounding. `cosines` (n, corners) are between nodal and facets' normals.
+        has a height beyond rounding, or any is bent. `cosines` (n, corners): as in `turned_angles`.
         """
         # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
         # both is right to fourth order in the angle. Folded facets have negative cosines.
@@ -145,7 +144,7 @@ class SmoothSurface:
         return np.asarray(heights * (has_height and not facets.bent))
 
     def _slopes(self) -> tuple[Array, Array]:
-        """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each for all pairs (n, pairs)."""
+        """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each (n, pairs of corners)."""
         along = self._corners[:, self._second] - self._corners[:, self._first]
         normals = self.corner_normals
         return dots(normals[:, self._first], along), dots(normals[:, self._second], along)
@@ -202,7 +201,7 @@ class SmoothSurface:
         """Return vectors [length] from facets (n,) to the surface, and its unit normals, (n, 3).
 
         Each is at a reference point x (n, dim). The surface is the exact one if it is known, else
-        the fitted one; bent facets are their own surface.
+        the fitted one, or the facets themselves if any is bent.
         """
         facets, hats = self.facets, self.facets.hats(x)
         if facets.bent:
@@ -218,14 +217,14 @@ class SmoothSurface:
         return offsets, normals
 
     def turns_along(self, facet: Indices, lean: Array, to_ends: bool = False) -> Array:
-        """Return the angles [rad] by which normals turn over facets (n,) along `lean` (n, 3).
+        """Return the angles (n,) [rad] by which normals turn over facets (n,) along `lean` (n, 3).
 
         With `to_ends` angles are larger where normals are less accurate, so that the partner's
         decide: at kinks those of the fitted normals; up to a right angle where the surface ends.
         """
         normals = self._facet_normals[facet]
         along = lean - dots(lean, normals)[:, None] * normals
-        of_corners = self._mean_normals if to_ends else self.corner_normals
+        of_corners = self._fitted_normals if to_ends else self.corner_normals
         along_corners = [dots(corner[facet], along) for corner in of_corners.swapaxes(0, 1)]
         sines = 0.5 * np.ptp(along_corners, axis=0)  # times the length of `along`
         cosines = np.sqrt(np.maximum(dots(along, along) - sines**2, 0.0))
@@ -237,10 +236,10 @@ class SmoothSurface:
     ) -> Mask:
         """Return whether this surface and a partner may touch at opposite points (n,).
 
-        The points have facets (n,) and outward unit normals (n, 3), which must be opposed
-        (`OPPOSED_ANGLE`). A sharp edge has all normals between those of its patches: beside an edge
-        of either side, points may also touch if the normal of the opposite point is opposed to the
-        edge, but not if it is opposed to the patch across the edge, where the contact is.
+        `own` and `theirs` are the points' facets (n,) and outward unit normals (n, 3), to be
+        opposed up to `OPPOSED_ANGLE` plus the angles by which both turn. A sharp edge has all
+        normals between those of its patches: beside an edge of either side, points may also touch
+        if the opposite normal is opposed to the edge, but not if to the patch beyond it.
         """
         (facet, normals), (partner_facet, partner_normals) = own, theirs
         cosine, turned = -dots(normals, partner_normals), np.zeros(len(facet))
@@ -249,22 +248,22 @@ class SmoothSurface:
         for side, its_facet in ((self, facet), (partner, partner_facet)):
             turned[leaning] += side.turns_along(its_facet[leaning], lean)
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
-        at_edge, across_edge = np.zeros((2, len(facet)), dtype=np.bool_)
-        for outward, facing, across in (
-            (normals, partner_normals, self.across[facet]),
-            (partner_normals, normals, partner.across[partner_facet]),
+        at_edge, beyond_edge = np.zeros((2, len(facet)), dtype=np.bool_)
+        for outward, facing, beyond in (
+            (normals, partner_normals, self.beyond_edges[facet]),
+            (partner_normals, normals, partner.beyond_edges[partner_facet]),
         ):
-            opposed = -dots(across, facing[:, None])
-            # the reversed normal of the opposite point leans towards the patch across the edge
-            at_edge |= (opposed > cosine[:, None] * dots(across, outward[:, None])).any(axis=1)
-            across_edge |= (opposed >= least[:, None]).any(axis=1)
-        return np.asarray((cosine >= least) | at_edge & ~across_edge)
+            opposed = -dots(beyond, facing[:, None])
+            # the reversed normal of the opposite point leans towards the patch beyond the edge
+            at_edge |= (opposed > cosine[:, None] * dots(beyond, outward[:, None])).any(axis=1)
+            beyond_edge |= (opposed >= least[:, None]).any(axis=1)
+        return np.asarray((cosine >= least) | at_edge & ~beyond_edge)
 
 
-def _normals_across_edges(nodes: SurfaceNodes) -> Array:
+def _normals_beyond_edges(nodes: SurfaceNodes) -> Array:
     """Return the normals (n, k, 3) of the other smooth patches at the corners of each facet.
 
-    The number k of rows is that of the facet with the most; rows are zero or repeated elsewhere.
+    There are rows enough for all facets; those that a facet does not need are zero or repeated.
     """
     own = nodes.facet_nodes
     # the entries of a node, one for each patch, follow each other in `nodes`
@@ -278,7 +277,8 @@ def _normals_across_edges(nodes: SurfaceNodes) -> Array:
 
 
 def turned_angles(cosines: Array) -> Array:
-    """Return twice the largest angle (n,) [rad] of those with cosines (n, corners)."""
+    """Return angles (n,) [rad] by which normals turn over facets: twice the largest at a corner."""
+    # cosines (n, corners) between a facet's normal and the normals at its corners
     least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
     return np.asarray(2.0 * np.arccos(least))
 
@@ -288,8 +288,8 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
 
     The mean of the facets' normals has an error that is a fixed part of the angle between facets; a
     least-squares fit has none (Cazals and Pouget 2005, Estimating differential quantities using
-    polynomial fitting of osculating jets). With too few neighbours the mean is kept. Valid at nodes
-    whose facets are all on this rank.
+    polynomial fitting of osculating jets). With too few neighbours the mean is kept
+    (`TILT_COST`). Valid at nodes whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
     # all pairs of two corners of a facet: a neighbour counts once for each facet that has both

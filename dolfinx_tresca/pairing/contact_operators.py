@@ -36,26 +36,26 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 
 def _space(operators: ContactOperators) -> dict[str, Any]:
-    """Return a name and the space of the problem, which `collective` compares on all ranks."""
+    """Return the space of the problem by a name, for `collective` to compare on all ranks."""
     return {"the space of the problem": operators._V}
 
 
 class ContactOperators:
     """The jump operators N and T of one pair, with weights, normals, gap and tangents.
 
-    N and T are PETSc matrices of the jump of the displacement, secondary minus primary; making them
-    is collective. Ranks have their rows like the contact nodes, their columns like those of K, also
-    prescribed ones. K and f are the stiffness matrix and the load of the problem, w the areas of
-    the rows' nodes, p the pressure, t the tangential traction and g the slip bound. The solution
+    N and T are PETSc matrices of the jump of the displacement, secondary minus primary, made on
+    first use. Each rank has the rows of its contact nodes; columns are those of K, prescribed ones
+    included. K and f are the stiffness matrix and the load of the problem, w the weights of the
+    rows' nodes, p the pressure, t the tangential traction and g the slip bound. The solution
     satisfies K u + N'(w p) + T'(w t) = f at free degrees of freedom; p >= 0, N u <= gap and
     p (gap - N u) = 0; and at each node |t| <= g and T u = c t with a factor c >= 0, which is 0 if
     |t| < g. The how-to on embedding solves such a problem by non-negative least squares.
 
     Attributes:
         nodes: (n,) local numbers of the contact nodes that this rank owns (blocks of V).
-        weights: (n,) parts of the nodes' areas that face the primary side [length^2, in 2D length].
+        weights: (n,) covered areas of the nodes, facing the primary side [length^2, in 2D length].
         normals: (n, d) unit contact normals, out of the secondary side.
-        gap: (rows of N,) initial gap of the undeformed bodies [length], positive if open.
+        gap: (rows of N,) gap at u = 0, with `ContactPair.gap` [length], positive if open.
         normal_node: (rows of N,) index in `nodes` of each row of N.
         tangents: (rows of T, d) unit vectors: each row of T is the jump along its vector.
         tangent_node: (rows of T,) index in `nodes` of each row of T, up to two for a node in 3D.
@@ -219,7 +219,7 @@ class ContactOperators:
     def on_both_sides(self, density: Array, name: str, scalar: bool) -> fem.Function:
         """Return a density (n, d) at contact nodes as a Function on both sides. Collective.
 
-        Nodes of the primary side have the transferred density; a `scalar` is in the first column.
+        Primary nodes get the transferred density; a `scalar` density is in the first column.
         """
         shape = () if scalar else (self._V.dofmap.index_map_bs,)
         Q = fem.functionspace(self._V.mesh, ("Lagrange", 1, shape))
@@ -230,7 +230,7 @@ class ContactOperators:
         return with_owned_values(Q, result, name)
 
     def _nodal_values(self, function: fem.Function, *, scalar: bool = False) -> tuple[Any, Array]:
-        """Return the space of a field, and its values (owned nodes, 1 or d). Collective."""
+        """Check a user's field; return its space, and values (owned nodes, 1 or d). Collective."""
         mesh, dim = self._V.mesh, self._V.dofmap.index_map_bs
         shapes: list[tuple[int, ...]] = [()] if scalar else [(), (dim,)]
         cell = mesh.basix_cell()
@@ -250,7 +250,7 @@ class ContactOperators:
         return function.function_space, owned_values(function)
 
     def _nodes_in(self, Q: Any) -> LocalNumbers:
-        """Return the numbers (n,) of the contact nodes, which are vertices, in Q of degree 1."""
+        """Return the local numbers (n,) in Q, of degree 1, of the contact nodes, all vertices."""
         dofs = self._V.dofmap.list
         number = np.zeros(dofs.max(initial=-1) + 1, dtype=np.int32)
         number[dofs[:, : vertex_count(self._V)]] = Q.dofmap.list
@@ -259,7 +259,7 @@ class ContactOperators:
     def _in_space(self, Q: Any, rows: Any) -> PETSc.Mat:
         """Create the matrix (n, nodes of Q) that acts on Q like `rows` (n, nodes of V). Collective.
 
-        Fields of Q have degree 1: between the corners, nodes of V have their interpolation.
+        Fields of Q have degree 1: nodes of V between vertices get values by interpolation.
         """
         V, element = self._V, self._V.element.basix_element
         # exact zeros, halves and quarters, so that nodes off the surface have no entries

@@ -1,4 +1,4 @@
-"""Which secondary nodes carry multipliers; their jumps, gaps, normals, directions of friction."""
+"""Which secondary nodes carry multipliers; their jumps, gaps, normals and friction directions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
 #: over whole facets, with which the node carries a multiplier: 1 on the rim of the overlap, and
-#: 1 - d at the distance d in sizes of the facet. With 0.76, nodes just beyond a block's edge would
+#: 1 - d at the distance of d facets beyond it. With 0.76, nodes just beyond a block's edge would
 #: have up to 1.5 times the pressure on the edge; with 0.94, nodes of a circle of 16 segments none.
 LEAST_MEAN = 0.88
 #: The limit in place of `LEAST_MEAN` if no facet within two facets of the node is fully covered: on
@@ -48,8 +48,8 @@ LEAST_AREA_PART = 3e-4
 CLOSE_FIT = 0.5
 #: Part of the nodes that must penetrate for a press fit: errors of the sagitta bring in only a few.
 FITTED_PART = 0.25
-#: An entry of a weighted jump counts as rounding if it is at most this factor times the relative
-#: rounding of the coordinates times the sum of the row.
+#: An entry of a matrix of means counts as rounding if it is at most this factor times the relative
+#: rounding of the coordinates times the sum of the row's absolute entries.
 ENTRY_ROUNDING = 8.0
 #: Difference of the means of two patches of a node over the primary side, relative to the means, up
 #: to which they face the same place. (With 0.5 friction is a sixth too small under a bolt's head.)
@@ -59,12 +59,13 @@ SAME_MEANS = 1e-3
 def corners_that_carry(
     V: Any, nodes: SurfaceNodes, integrals: FacetIntegrals, shared: Mask
 ) -> Mask:
-    """Return the mask (facets, corners) of the corners that carry multipliers. Collective.
+    """Return the mask (facets, corners) of corners with functions of the dual basis. Collective.
 
-    Nodes beyond the rim of the overlap carry none: with the nodal force of a whole facet on the
-    covered part of their area, their pressure would be far too large. Neighbours take over this
-    part. If no corner of a covered facet is left, the corner with the largest covered part carries.
-    All ranks decide alike; `shared` (n,) nodes are on both sides or redundant.
+    Nodes beyond the rim of the overlap have none, and no multiplier: with the nodal force of a
+    whole facet on the covered part of their area, their pressure would be far too large. Neighbours
+    take over this part. If no corner of a covered facet is left, that with the largest covered part
+    is. Prescribed nodes, and `shared` (n,) ones (on both sides or redundant), keep functions and
+    areas, but get no multiplier in `nodes_with_multipliers`. All ranks decide alike.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
     agreed = partial(owners_flags, V, nodes.numbers)
@@ -72,7 +73,7 @@ def corners_that_carry(
     # be if the function had the same mean on these parts as on whole facets
     covered = nodes.reduced(np.add, weights, 0.0)
     whole = nodes.reduced(np.add, weights.mean(axis=1, keepdims=True), 0.0)
-    # if several patches of a node on a sharp edge are covered, all of them keep their multipliers
+    # nodes with a single covered patch; on a sharp edge, several covered patches keep multipliers
     _, number = np.unique(nodes.numbers, return_inverse=True)
     single: Mask = np.bincount(number, covered > 0.0)[number] == 1
 
@@ -101,12 +102,11 @@ def corners_that_carry(
 def nodes_with_multipliers(
     V: Any, pair: ContactPair, nodes: SurfaceNodes, unpaired: Mask, shared: Mask
 ) -> Indices:
-    """Return the indices of this rank's nodes that carry multipliers. Collective.
+    """Return the indices in `nodes` of this rank's nodes that carry multipliers. Collective.
 
-    `unpaired` (n,) nodes do not face the primary side, which owners know; `shared` (n,) nodes
-    belong to it, too, and have no multiplier. The log has the counts. With finite sliding there may
-    be no such node, if nodes could carry multipliers in other positions of the bodies; otherwise a
-    PairingError is raised if no rank has one.
+    `unpaired` (n,) nodes, valid on their owner, do not face the primary side. `shared` (n,) nodes
+    are on both sides, or redundant. The log has the counts. If no rank has a node that carries, a
+    PairingError is raised, except for finite sliding if nodes may carry in other positions.
     """
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
@@ -140,7 +140,7 @@ def nodes_with_multipliers(
 def _raise_unpaired(
     pair: ContactPair, total: int, unpaired: int, prescribed: int, common: int, hint: str
 ) -> NoReturn:
-    """Raise the error that says why no node carries a multiplier, from numbers of nodes."""
+    """Raise the error that says why no node carries a multiplier, from counts of nodes."""
     secondary, primary = pair.side("secondary"), pair.side("primary")
     if unpaired < total:
         raise PairingError(
@@ -197,8 +197,8 @@ def couple(
     normal of exact surfaces where they are known, else of facets with heights of fitted ones.
 
     `primary` are the facets of the primary side, None for an obstacle. `carries` (facets, corners)
-    and `shared` (n,) are as in `corners_that_carry`. If the surfaces are `displaced`, penetration
-    is an error of the displacement, and no close fit is warned of.
+    is from `corners_that_carry` or `obstacle_integrals`, and `shared` (n,) as there. If surfaces
+    are `displaced`, penetration is an error of the displacement: no close fit is warned of.
     """
     group, facets, comm, dim = undeformed.group, nodes.facets, V.mesh.comm, V.mesh.geometry.dim
     pair, index_map = group.surfaces, V.dofmap.index_map
@@ -207,7 +207,7 @@ def couple(
         weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
         scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
         dual = dual_coefficients(integrals.hats, spread) * scale[nodes.facet_nodes][:, :, None]
-        own, across, means = _dual_means(nodes, primary, integrals, dual, index_map.size_global)
+        own, opposite, means = _dual_means(nodes, primary, integrals, dual, index_map.size_global)
     # nodes that face nothing, and those whose contact normals cancel, keep their own normals; where
     # the mean with dual functions, negative in part, is far off, that with hat functions is taken
     vectors = nodes.reduced(np.add, spread @ integrals.means[:, :, 3:], 0.0)
@@ -222,12 +222,12 @@ def couple(
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
-    position = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
+    kept = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     if primary is not None:
         # functions of the dual basis are negative in part: a mean may be less than all distances
         gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not (displaced or facets.has_exact_surface):
-            _warn_of_close_fit(comm, str(pair), gap[position], sagitta[position])
+            _warn_of_close_fit(comm, str(pair), gap[kept], sagitta[kept])
     # the share of each pair of the group in a node's area, from the areas of overlaps
     facet, partner = integrals.pairs.T
     column = partner if primary is None else primary.tag_index[partner]
@@ -236,36 +236,36 @@ def couple(
     areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
     np.add.at(shares, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
     # rows of the nodes with multipliers alone
-    weights, shares = weights[position], shares[position]
+    weights, shares = weights[kept], shares[kept]
     shares *= (weights / shares.sum(axis=1))[:, None]
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
     frictionless = np.array([isinstance(law, Frictionless) for law in laws])[owner]
-    normals, free, numbers = normals[position, :dim], nodes.free[position], nodes.numbers[position]
+    normals, free, numbers = normals[kept, :dim], nodes.free[kept], nodes.numbers[kept]
     prescribed = np.linalg.norm(normals * free, axis=1) <= FACING_COSINE
-    jump, across, friction_acts = (own - across)[position], across[position], free
+    jump, opposite, friction_acts = (own - opposite)[kept], opposite[kept], free
     if primary is not None:
-        friction_acts = free | _primary_is_free(across, primary) & ~bonded[:, None]
-    has_normal_row, room = _normals_and_room(numbers, across, normals, friction_acts, ~prescribed)
+        friction_acts = free | _primary_is_free(opposite, primary) & ~bonded[:, None]
+    has_normal_row, room = _rows_and_room(numbers, opposite, normals, friction_acts, ~prescribed)
     along, tangent_node = _free_tangents(normals, room)
     rubs = ~frictionless[tangent_node]
     extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
-    distance = np.where(bonded | (np.abs(gap[position]) <= ROUNDING * extent), 0.0, gap[position])
+    distance = np.where(bonded | (np.abs(gap[kept]) <= ROUNDING * extent), 0.0, gap[kept])
     return PairOperators(
         bonded=False,
         nodes=(numbers - index_map.local_range[0]).astype(np.int32),
         weights=weights,
         shares=shares,
-        areas=nodes.weights[position],
-        places=means[position, 6 : 6 + dim],
+        areas=nodes.weights[kept],
+        places=means[kept, 6 : 6 + dim],
         normals=normals,
         distance=distance,
         added_gap=np.zeros_like(distance),
         # only displacements of degree 2 can bend facets and so make up for the sagitta
-        secondary_sagitta=secondary_sagitta[position] * (facets.degree > 1),
+        secondary_sagitta=secondary_sagitta[kept] * (facets.degree > 1),
         jump=jump,
-        primary=across,
+        primary=opposite,
         prescribed=prescribed,
         has_normal_row=has_normal_row,
         tangents=along[rubs],
@@ -280,7 +280,7 @@ def _dual_means(
 ) -> tuple[Any, Any, Array]:
     """Return means at secondary nodes, weighted with functions of the dual basis.
 
-    The functions have coefficients `dual` (facets, corners, corners) and the integral 1.
+    The functions have the integral 1, and coefficients `dual` (facets, corners, corners) of hats.
 
     Returns:
         sparse matrices (n, `width`) of the means of a displacement over the secondary side and over
@@ -289,18 +289,18 @@ def _dual_means(
     """
     facets, corners = nodes.facets, nodes.facet_nodes
     own_rows = dual @ integrals.values  # (facets, corners, k)
-    within = assemble_rows(nodes, corners, facets.nodes, own_rows, width)
-    across = csr_array(within.shape)
+    own = assemble_rows(nodes, corners, facets.nodes, own_rows, width)
+    opposite = csr_array(own.shape)
     if primary is not None:
         facet, partner = integrals.pairs.T
         rows = dual[facet] @ integrals.partner
-        across = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, width)
+        opposite = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, width)
     means = np.concatenate([dual @ integrals.means, own_rows @ facets.points], axis=2)
-    return within, across, nodes.reduced(np.add, means, 0.0)
+    return own, opposite, nodes.reduced(np.add, means, 0.0)
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) -> None:
-    """Warn if nodes (n,) penetrate so little that errors of `sagitta` (n,) matter. Collective."""
+    """Warn if nodes (n,) overlap so little that errors of `sagitta` (n,) matter. Collective."""
     greatest = [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)]
     depth, height = reduce_array(comm, greatest, MPI.MAX)
     inside, count = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
@@ -339,7 +339,7 @@ def redistribution(receives: Mask) -> Array:
     """Return matrices (n, corners, corners) that distribute values at the corners of facets.
 
     The values of corners that do not receive are added in equal parts to those of the others, so
-    that the sum over a facet does not change.
+    that the sum over a facet does not change. If no corner receives, the matrix is zero.
     """
     count = np.maximum(receives.sum(axis=1), 1)[:, None, None]
     shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / count)
@@ -349,13 +349,13 @@ def redistribution(receives: Mask) -> Array:
 def assemble_rows(
     nodes: SurfaceNodes, rows: Indices, columns: GlobalNumbers, values: Array, width: int
 ) -> Any:
-    """Assemble blocks (n, corners, k) of facets, or pairs of them, into a matrix (nodes, width).
+    """Assemble blocks (n, corners, k) of facets, or of overlaps, into a matrix (nodes, width).
 
     The rows (n, corners) are indices in `nodes`, the columns (n, k) are global. Entries that are
     rounding errors (`ENTRY_ROUNDING`) are left out.
     """
-    places = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
-    entries = values.ravel(), (places[0].ravel(), places[1].ravel())
+    row, column = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
+    entries = values.ravel(), (row.ravel(), column.ravel())
     result = coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
     rounding = nodes.reduced(np.maximum, nodes.facets.rounding[:, None], 0.0)
     rounding *= ENTRY_ROUNDING * abs(result).sum(axis=1)
@@ -365,10 +365,10 @@ def assemble_rows(
 
 
 def _primary_is_free(primary: Any, facets: Facets) -> Mask:
-    """Return in which directions (n, dim of space) all primary nodes opposite a node are free.
+    """Return along which axes (n, dim of space) all primary nodes opposite a node are free.
 
-    Only corners whose share of the means (n, nodes of V) is not `NEGLIGIBLE` count. A node that
-    faces none is free in no direction.
+    `primary` (n, nodes of V) are the means over the primary side: only corners whose entries are
+    not `NEGLIGIBLE` count. A node opposite to none is free along no axis.
     """
     columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
     counts = np.abs(primary.data) > NEGLIGIBLE
@@ -379,19 +379,19 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     return result
 
 
-def _normals_and_room(
+def _rows_and_room(
     numbers: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
 ) -> tuple[Mask, Array]:
-    """Return the mask (n,) of nodes with a row of N, and projections (n, d, d) onto those of T.
+    """Return which patches (n,) have rows of N; and projections (n, d, d), the room for friction.
 
-    Patches of a node that face the same place, such as an edge in the corner of a box with the same
-    nodes, have the same jump: each has a row of N as long as these are linearly independent, and
-    friction acts only along the edge, on the patch with the largest weight. Others, such as those
-    of the head of a bolt and its shank in a hole with clearance, are independent of each other.
+    Patches of a node that face the same place, such as an edge in a groove with matching nodes,
+    have the same jump: each has a row of N as long as these are linearly independent, and friction
+    acts only along the edge, on the patch with the largest weight. Other patches, such as those of
+    a bolt's head and its shank in a hole with clearance, are independent of each other.
 
-    Patches are given as in `SurfaceNodes`, by `numbers` (n,) of nodes; with sparse means over the
-    primary side (n, nodes of V); normals (n, d); axes (n, d) along which friction may act; and (n,)
-    whether the displacement is free along the normal.
+    Patches are given as in `SurfaceNodes`, by `numbers` (n,) of nodes; with sparse `means` over the
+    primary side (n, nodes of V); normals (n, d); `free` (n, d), axes along which friction may act;
+    and `moves` (n,), whether the displacement is free along the normal, for patches that are alone.
     """
     has_row = moves.copy()
     room = free[:, :, None] * np.eye(free.shape[1])
@@ -418,7 +418,7 @@ def _normals_and_room(
 def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
     """Return the tangents (n_tangential, d) along which friction may act, and the node of each.
 
-    They are in the range of `room` (n, d, d), the projections onto these directions at each node.
+    They are in the range of `room` (n, d, d), see `_rows_and_room`; normals are (n, d).
     """
     along = tangents(normals)
     limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))

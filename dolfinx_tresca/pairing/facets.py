@@ -69,11 +69,11 @@ class Facets:
         degree: polynomial degree of the displacement.
         nodes: (n, k) global numbers of the displacement's nodes, corners first.
         points: (n, k, 3) positions of the nodes [length].
-        free: (n, corners, dim) whether a component of a corner's displacement is not prescribed.
+        free: (n, corners, dim of space) which components of a corner's displacement are free.
         file_numbers: (n, corners) numbers of the corners in the mesh file.
         outward: (n,) 1 if the order of the nodes gives the outward normal, else -1.
         offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` to the
-            exact surface [length]; NaN where it is unknown, (n, 0, 3) if it is on both sides.
+            exact surface [length]; NaN where that is unknown, (n, 0, 3) if it is on both sides.
         origins: (n, 9) see `facet_origins`; (n, 0) on surfaces that do not touch themselves.
         tag_index: (n,) position of the facet's tag in the list of tags of its side.
         bent: whether any edge of the whole surface is curved, which is possible with degree 2 only.
@@ -125,7 +125,7 @@ class Facets:
 
     @property
     def areas(self) -> Array:
-        """The areas (n,) of the facets [length^2, in 2D length], also if they are axisymmetric."""
+        """The areas (n,) of the facets [length^2]; in 2D, rings included, lengths [length]."""
         points, weights = quadrature(self.cell, 2 * self.degree)
         return np.asarray(np.linalg.norm(self.area_vectors(points), axis=2) @ weights)
 
@@ -135,7 +135,7 @@ class Facets:
         return unit(self.area_vectors(quadrature(self.cell, 1)[0])[:, 0])
 
     def lagrange_points(self, degree: int) -> Array:
-        """Return the reference points (k, dim) of the nodes of a Lagrange basis."""
+        """Return the reference points (k, dim) of the nodes of a Lagrange basis of a degree."""
         return np.asarray(_element(self.cell, degree).points)
 
     def hats(self, x: Array) -> Array:
@@ -151,7 +151,7 @@ class Facets:
         return np.asarray(self.basis(x) @ self.points)
 
     def selected(self, index: Indices) -> Facets:
-        """Return some of the facets."""
+        """Return the facets with indices (m,)."""
         return replace(self, **{name: getattr(self, name)[index] for name in FACET_ARRAYS})
 
     def moved_to(self, points: Array) -> Facets:
@@ -163,17 +163,17 @@ class Facets:
             displaced = replace(displaced, offsets=offsets)
         corners = points[:, : self.corners]
         straight = self.hats(self.lagrange_points(self.degree)) @ corners
-        widths = np.ptp(corners, axis=1).max(axis=1)
+        sizes = np.ptp(corners, axis=1).max(axis=1)
         rounding = MESH_ROUNDING + rounding_of(corners)
-        bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * widths).any())
+        bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * sizes).any())
         return replace(displaced, bent=bent)
 
     def frames(self) -> Array:
-        """Return right-handed orthonormal axes (n, 3, 3) in rows: a side, across it, the normal."""
+        """Return the axes (n, 3, 3) of `frames_along` for the first two corners of each facet."""
         return frames_along(self.points[:, 1] - self.points[:, 0], self.mean_normals)
 
     def area_vectors(self, x: Array) -> Array:
-        """Return outward normals (n, q, 3), as long as the area element, at points x (q, dim)."""
+        """Return outward normals (n, q, 3), as long as area elements, at reference x (q, dim)."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dqk,nki->dnqi", gradients, self.points)
         return np.asarray(cross_products(along) * self.outward[:, None, None])
@@ -184,13 +184,13 @@ class Facets:
         return 2.0 * np.pi * self.points_at(x)[:, :, 0] * areas if self.axisymmetric else areas
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
-        """Return the `area_vectors` (m, 3) of facets (m,) at one reference point (m, dim) each."""
+        """Return `area_vectors` (m, 3) of facets (m,), each at its own reference point (m, dim)."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
         along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
         return np.asarray(cross_products(along) * self.outward[facet, None])
 
     def coincide(self, facet: Indices, primary: Facets, partner: Indices) -> Mask:
-        """Return whether all corners of facets (p,) are at corners of primary facets (p,)."""
+        """Return whether each corner of facets (p,) is at a corner of its primary facet (p,)."""
         corners = self.points[facet, : self.corners]
         offset = primary.points[partner, None, : primary.corners] - corners[:, :, None]
         diameters = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
@@ -199,7 +199,7 @@ class Facets:
         return np.asarray((nearest <= allowed[:, None]).all(axis=1))
 
     def offsets_at(self, facet: Indices, x: Array) -> Array:
-        """Return vectors (m, 3) from facets (m,) at points (m, dim) to their exact surface."""
+        """Return vectors (m, 3) from facets (m,), at reference x (m, dim), to exact surfaces."""
         values = tabulate(self.cell, OFFSET_DEGREE, 0, x)[0]
         return np.asarray(np.einsum("mk,mki->mi", values, self.offsets[facet]))
 
@@ -213,7 +213,7 @@ class Facets:
 
 
 def frames_along(sides: Array, normals: Array) -> Array:
-    """Return right-handed orthonormal axes (n, 3, 3): sides in the plane, across them, normals."""
+    """Return orthonormal axes (n, 3, 3): the side in the plane, normal x this axis, the normal."""
     along = unit(sides - dots(sides, normals)[:, None] * normals)
     return np.stack([along, cross(normals, along), normals], axis=1)
 
@@ -253,7 +253,7 @@ def quadrature(cell: str, degree: int) -> tuple[Array, Array]:
 def project(facets: Facets, nodes: Array, target: Array) -> Array:
     """Find the reference points (n, dim) whose images are the `target` points (n, dim) of a plane.
 
-    Each has a facet with nodes (n, k, dim) in the plane [length]; `facets` has cell and degree.
+    Each point has a facet, with nodes (n, k, dim) in the plane; `facets` has the shape functions.
     """
     # the affine map is exact for straight segments, triangles and parallelograms
     sides = np.stack([nodes[:, 1 + i] - nodes[:, 0] for i in range(facets.dim)], axis=2)
@@ -271,7 +271,7 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Solve n systems of dim = 1 or 2 equations; the solution of a singular system is zero."""
+    """Solve n systems (n, dim, dim) x = (n, dim), dim = 1 or 2; x is zero if one is singular."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         if matrix.shape[1] == 1:
             result = right / matrix[:, 0]
@@ -294,8 +294,8 @@ class SurfaceNodes:
         weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
         normals: (n, 3) outward unit normals: means over the facets of the patch at the node,
             without prescribed components, since means over one side of a symmetry plane are tilted.
-        free: (n, dim of space) whether a component of the displacement is not prescribed.
-        facet_nodes: (facets, corners) index of each facet's corners in the arrays above.
+        free: (n, dim of space) which components of the displacement are not prescribed.
+        facet_nodes: (facets, corners) index of each facet's corners in the arrays of n entries.
         has_no_normal: (n,) whether the normals of the facets cancel.
     """
 
@@ -325,9 +325,9 @@ class SurfaceNodes:
         self.normals = free_normals(vectors, self.free)
 
     def reduced(self, ufunc: np.ufunc, values: Any, initial: Any, facets: Any = slice(None)) -> Any:
-        """Return sums, or other reductions, at nodes of values (facets, corners, ...) at corners.
+        """Return sums, or other reductions, at nodes of values (facets, corners or 1, ...) there.
 
-        Nodes without one of the `facets`, by default all, get the `initial` value.
+        Nodes at none of the `facets`, by default all, keep the `initial` value of the reduction.
         """
         result = np.full((len(self.numbers), *values.shape[2:]), initial)
         ufunc.at(result, self.facet_nodes[facets], values)
@@ -393,7 +393,7 @@ def smooth_patches(node: Indices, normals: Array) -> tuple[Indices, Indices]:
 def tangents(normals: Array) -> Array:
     """Return orthonormal tangents (n, d - 1, d) at nodes with unit normals (n, d).
 
-    In 3D the first one is across the coordinate axis that is farthest from the normal.
+    In 3D the first one is perpendicular to the coordinate axis that is farthest from the normal.
     """
     if normals.shape[1] == 2:
         return np.stack([-normals[:, 1], normals[:, 0]], axis=1)[:, None]

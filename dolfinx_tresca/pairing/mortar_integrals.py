@@ -70,7 +70,7 @@ class FacetIntegrals:
             distance of the surfaces along the contact normal; the height of the secondary surface
             over its facets (zero if an exact surface is known); the sum of the heights of both
             along the contact normal (zero over facets that coincide); and the contact normal.
-        least: (n,) least distance over each facet, infinite if unpaired; with obstacles of nodes.
+        least: (n,) least distance over each facet, infinite if unpaired; with obstacles, at nodes.
         full: (n,) whether the whole facet is covered.
         pairs: (p, 2) secondary and primary facet of each overlap; an obstacle counts as facet 0.
         partner: (p, corners, k) integrals of secondary hat times primary basis functions over each
@@ -91,19 +91,19 @@ Sides: TypeAlias = tuple[tuple[Pieces, SmoothSurface], tuple[Pieces, SmoothSurfa
 
 
 class _PointsOfSide:
-    """Points of the facets of one side, opposite to quadrature points in planes of pieces.
+    """Points of one side's facets, over quadrature points in the planes of secondary pieces.
 
     Attributes:
         facet: (n,) facet of each point.
         x: (n, dim) reference points.
         values: (n, k) basis functions of the displacement.
-        height: (n,) height of the facet over the plane [length].
+        height: (n,) height of the facet over the plane, along its normal [length].
         to_surface: (n, 3) vectors from the facet to the smooth surface [length].
         normals: (n, 3) outward unit normals of the smooth surface.
     """
 
     def __init__(self, surface: SmoothSurface, facet: Indices, nodes: Array, places: Array) -> None:
-        """Project facets, with nodes (n, k, dim + 1) in frames of planes, to places (n, dim)."""
+        """Find points over `places` (n, dim); facets have `nodes` (n, k, dim + 1), in frames."""
         self.facet, self.x = facet, project(surface.facets, nodes[:, :, :-1], places)
         self.values = surface.facets.basis(self.x)
         self.height = dots(self.values, nodes[:, :, -1])
@@ -115,7 +115,7 @@ class _CutOverlaps:
 
     Attributes:
         piece: (pairs,) secondary piece of each pair, ascending; the overlap is in its plane.
-        partner_piece: (pairs,) primary piece of each pair.
+        partner_piece: (pairs,) primary piece of each pair of pieces.
         facet: (pairs,) secondary facet of each pair.
         partner: (pairs,) primary facet of each pair.
         simplices: (m, dim + 1, dim) corners of the simplices in the plane [length].
@@ -124,14 +124,14 @@ class _CutOverlaps:
         pair_of_point: (m q,) pair of each quadrature point.
         places: (m q, dim) quadrature points in the plane [length].
         hats: (m q, corners) secondary hat functions.
-        secondary: the opposite points of the secondary facets.
-        primary: the opposite points of the primary facets.
+        secondary: the points of the secondary facets over the quadrature points.
+        primary: the points of the primary facets over them, opposite to these.
     """
 
     def __init__(
         self, sides: Sides, piece: Indices, partner_piece: Indices, points: Array, rounding: Array
     ) -> None:
-        """Cut the overlaps of pairs of pieces, except for areas within `rounding` (pieces,).
+        """Cut the overlaps of pairs of pieces; drop areas up to the `rounding` (pieces,).
 
         The quadrature `points` (q, dim + 1) of a simplex are given in barycentric coordinates.
         """
@@ -177,9 +177,9 @@ class MortarIntegrals(FacetIntegrals):
     ) -> None:
         """Integrate over the overlaps of the `selected` (m,) secondary facets with primary facets.
 
-        Points farther apart than `limit` [length], and facets (p,) for which `may_meet` is false,
-        are not paired. On a surface that touches itself, `order` decides which facet of a pair is
-        secondary, and a facet that facets nearby fully cover is paired with these alone.
+        Points farther apart than `limit` [length], and pairs of facets for which `may_meet` is
+        false, are not paired. If the surface touches itself, `order` decides which facet of a pair
+        is secondary, and a facet that facets nearby fully cover is paired with these alone.
         """
         facets, partners = secondary.facets, primary.facets
         self._may_meet, self._order = may_meet, order
@@ -191,7 +191,7 @@ class MortarIntegrals(FacetIntegrals):
         x, w = quadrature(simplex, self._exactness())
         # quadrature points (q, dim + 1) and their weights (q,)
         self._barycentric, self._weights = np.column_stack([1.0 - x.sum(axis=1), x]), w / w.sum()
-        # the map of values there to those, on a grid, of the quadratic function that fits them best
+        # the map from values at these points to those of their best quadratic fit on a grid
         grid = basix.create_lattice(basix.CellType[simplex], 4, basix.LatticeType.equispaced, True)
         degree = 2 if len(w) >= 3 * facets.dim else 1  # flat surfaces have linear distances
         fit, on_grid = (tabulate(simplex, degree, 0, points)[0] for points in (x, grid))
@@ -221,7 +221,7 @@ class MortarIntegrals(FacetIntegrals):
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
         arrays = zip(*self._overlaps, strict=True)
         self.pairs, self.partner, self.exchanged = map(np.concatenate, arrays)
-        # the integrals outlive what they were computed with, a third of the memory
+        # the integrals are kept, but not what they were computed with, a third of the memory
         del self._overlaps, self._pieces, self._partners, self._visibility
         del self._surface, self._partner_surface
 
@@ -240,8 +240,8 @@ class MortarIntegrals(FacetIntegrals):
     def _facing_pairs(self, mine: Indices, limit: Array) -> Iterator[tuple[Indices, Indices]]:
         """Yield blocks of pairs of pieces that face each other and may meet.
 
-        All pairs of a secondary piece, of `mine` (m,), ascending, are in the same block; `limit`
-        (pieces,) is the search distance [length].
+        A block has the secondary pieces, ascending, and the primary pieces; all pairs of a piece of
+        `mine` (m,) are in one block. `limit` (pieces,) is the search distance [length].
         """
         for piece, partner in self._pieces.facing(mine, self._partners, limit):
             meets = self._may_meet(self._pieces.facet[piece], self._partners.facet[partner])
@@ -253,22 +253,22 @@ class MortarIntegrals(FacetIntegrals):
                 yield from zip(np.split(piece, ends), np.split(partner, ends), strict=True)
 
     def _integrate(
-        self, mine: Indices, partners: Indices, limit: Array, *, covered_only: bool = False
+        self, secondary: Indices, primary: Indices, limit: Array, *, covered_only: bool = False
     ) -> Mask:
         """Add the integrals over the overlaps of pairs of secondary and primary pieces (pairs,).
 
         All pairs of a secondary piece are given, ascending, and `limit` (pieces,) is its search
         distance [length]. With `covered_only`, nothing is added on pieces that these pairs do not
-        cover fully. Return which pieces (pieces,) the pairs cover fully, whatever the roles are.
+        cover fully. Return which pieces (pieces,) they cover fully, exchanged pairs included.
         """
         sides = (self._pieces, self._surface), (self._partners, self._partner_surface)
-        cut = _CutOverlaps(sides, mine, partners, self._barycentric, self._rounding)
+        cut = _CutOverlaps(sides, secondary, primary, self._barycentric, self._rounding)
         seen = self._seen_weights(cut, limit)
         # where the roles are exchanged, points cover the piece, but are not integrated over
-        weight, opposite = seen, np.zeros(len(mine), dtype=np.bool_)
+        weight, is_exchanged = seen, np.zeros(len(primary), dtype=np.bool_)
         if self._order is not None:
             is_primary = ~self._order.is_secondary(cut.facet, cut.partner)[cut.pair_of_point]
-            opposite[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
+            is_exchanged[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
             weight = seen * ~is_primary
         means, q = self._quantities(cut), len(self._weights)
         # least distance of each simplex
@@ -276,7 +276,7 @@ class MortarIntegrals(FacetIntegrals):
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
         # sums over each of the pairs that overlap: its simplices follow each other from a start on
         pairs, starts = np.unique(cut.pair, return_index=True)
-        piece, area = mine[pairs], np.add.reduceat(weight, starts * q)
+        piece, area = secondary[pairs], np.add.reduceat(weight, starts * q)
         seen_area = np.bincount(piece, np.add.reduceat(seen, starts * q), minlength=len(limit))
         covered: Mask = seen_area >= (1.0 - MISMATCH) * self._area
         added = covered[piece] if covered_only else np.ones(len(pairs), dtype=np.bool_)
@@ -294,7 +294,7 @@ class MortarIntegrals(FacetIntegrals):
         np.minimum.at(self.least, facet, np.minimum.reduceat(least, starts)[added])
         np.add.at(self._covered, piece[added], area[added])
         both: Indices = np.column_stack([cut.facet, cut.partner])[pairs]
-        paired, exchanged = added & (area > 0.0), added & opposite[pairs]
+        paired, exchanged = added & (area > 0.0), added & is_exchanged[pairs]
         self._overlaps.append((both[paired], products(cut.primary.values)[paired], both[exchanged]))
         return covered
 
@@ -359,7 +359,7 @@ class MortarIntegrals(FacetIntegrals):
         return result.ravel()
 
     def _surface_weights(self, cut: _CutOverlaps, weight: Array) -> Array:
-        """Return weights (points,) in the planes as weights on facets, or on their rings."""
+        """Convert quadrature weights (points,) in the planes to weights on facets, or rings."""
         facets, side = self._surface.facets, cut.secondary
         if not facets.affine:
             vectors = facets.area_vectors_at(side.facet, side.x)
@@ -402,7 +402,7 @@ def obstacle_integrals(
     also seen between the nodes; what undeformed bodies enter unseen is warned of.
 
     Returns:
-        the nodes, where facets of all patches have one entry of a node, since they share the normal
+        the nodes, with a single entry for all facets at a node, since its patches share the normal
         of the obstacle; the integrals; and whether facets face it at their corners (n, corners).
     """
     facets, centre = nodes.facets, quadrature(nodes.facets.cell, 1)[0]
@@ -451,9 +451,9 @@ def obstacle_integrals(
 def _nodal_integrals(
     obstacle: RigidObstacle, surface: SmoothSurface, normals: Array, facing: Mask
 ) -> FacetIntegrals:
-    """Return the integrals over facets that face an obstacle (n,), zero over the others.
+    """Return the integrals over facets that face an obstacle, `facing` (n,), zero over the others.
 
-    Distances are interpolated between the nodes of the displacement, and the contact normals
+    Distances are interpolated between the nodes of the displacement, and the contact `normals`
     (n, corners, 3) between corners. `least` is the least distance at a node of the facet.
     """
     facets, every = surface.facets, np.arange(len(facing))
@@ -474,8 +474,8 @@ def _warn_of_unseen(
 ) -> None:
     """Warn if an obstacle enters facets (n,) farther than the mesh sees. Collective.
 
-    `depth` is how far it enters a facet, `seen` the depth that nodes see, or means around them, and
-    `extent` the largest coordinate [length]; `turns` is the angle by which its normal turns [rad].
+    `depth` (n,) is how far it enters, `seen` (n,) the depth at nodes, or of means around them, and
+    `extent` the largest coordinate [length]; `turns` (n,) is how far its normal turns [rad].
     """
     greatest = [array.max(initial=0.0) for array in (depth, depth - seen, turns * (depth > 0.0))]
     deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
@@ -515,7 +515,7 @@ def _see_between_nodes(
     of the height of the obstacle over the corners of a facet whose middle it touches.
 
     The obstacle's normal turns by `turns` (n,) over facets [rad], zero where they do not face it.
-    The integrals change in place over the facets (m,) that are returned; hats count as dual there.
+    The integrals change in place over the facets (m,) that are returned; `hats` become diagonal.
     """
     facets = nodes.facets
     # share (m, corners, 1) of the new means, which take over gradually as the angle grows
@@ -534,8 +534,8 @@ def _see_between_nodes(
     seen = np.dstack([distance, above, above, normals])
     # weights (m, corners, points): the hat function times the exponential function, scaled such
     # that a node keeps its area. An arc over a chord of length l has the height turn l / 8
-    widths = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
-    own_height = SEEN_HEIGHT / 8.0 * facets.dim * turns * widths
+    sizes = (np.linalg.norm(close.area_vectors(x), axis=2) @ w) ** (1.0 / facets.dim)
+    own_height = SEEN_HEIGHT / 8.0 * facets.dim * turns * sizes
     height = nodes.reduced(np.maximum, own_height[:, None], 0.0, near)
     least = nodes.reduced(np.minimum, distance.min(axis=1)[:, None], np.inf, near)
     heights = np.where(share > 0.0, height[corners][:, :, None], 1.0)
@@ -544,7 +544,7 @@ def _see_between_nodes(
     areas = integrals.hats[near].sum(axis=2)
     total = nodes.reduced(np.add, weights.sum(axis=2), 0.0, near)[corners]
     weights *= (nodes.reduced(np.add, areas, 0.0, near)[corners] / total)[:, :, None]
-    # the integrals so far are multiplied by the dual basis, and so can be mixed with the new ones
+    # the integrals so far get dual functions; diagonal `hats` tell `couple` to keep these
     dual = areas[:, :, None] * np.linalg.inv(integrals.hats[near])
     values, means = dual @ integrals.values[near], dual @ integrals.means[near]
     # the normal at a node half a facet away is wrong by more than the distance there

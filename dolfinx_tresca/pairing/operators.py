@@ -1,4 +1,4 @@
-"""The operators N and T of a pair, from the jump of any kind of pairing."""
+"""The operators N and T of a pair, and B, the rows of all pairs, for the solvers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PairOperators:
 
     Attributes:
         bonded: whether the jumps are constrained to zero and multipliers have any sign.
-        nodes: (n,) local numbers of the contact nodes (blocks of V).
+        nodes: (n,) local numbers of the contact nodes (blocks of V), repeated at sharp edges.
         weights: (n,) covered area of each node [length^2, in 2D length].
         shares: (n, pairs) part of the covered area that belongs to each pair of the group.
         areas: (n,) whole area of each node, covered or not [length^2, in 2D length].
@@ -44,12 +44,12 @@ class PairOperators:
         normals: (n, d) unit contact normals, out of the secondary side.
         distance: (n,) initial distance of the surfaces along the normal [length], positive if open,
             and zero within rounding, or where surfaces are bonded.
-        added_gap: (n,) present value of `ContactPair.gap` at each node [length].
+        added_gap: (n,) present value of `ContactPair.gap` at each node [length], 0 after pairing.
         secondary_sagitta: (n,) height of the curved secondary surface over its straight facets,
-            which reduces the gap [length]; zero for degree 1.
+            by which it reduces `distance` [length]; zero for degree 1.
         jump: (n, nodes of V) sparse matrix of the jump, the weighted means over the secondary side
             minus those over the primary side, with global column numbers.
-        primary: (n, nodes of V) sparse matrix of these means over the primary side, or empty rows.
+        primary: (n, nodes of V) sparse matrix of means over the primary side; empty for obstacles.
         prescribed: (n,) whether the displacement of the node is prescribed along the normal.
         has_normal_row: (n,) whether N has a row for the node.
         tangents: (n_tangential, d) unit vector along each row of T; none if there is no friction.
@@ -78,7 +78,7 @@ class PairOperators:
     undeformed: Undeformed
 
     def at_nodes(self, keep: Mask) -> PairOperators:
-        """Return the operators at the nodes in a mask (n,)."""
+        """Return the operators at the nodes in a mask (n,), such as those that a pair owns."""
         if keep.all():
             return self
         rows, number = keep[self.tangent_node], np.cumsum(keep, dtype=np.int32) - 1
@@ -122,13 +122,13 @@ class PairOperators:
 
     @property
     def row_node(self) -> LocalNumbers:
-        """The index in `nodes` of each row of (N; T)."""
+        """The index (n_normal + n_tangential,) in `nodes` of each row of N, then of T."""
         return np.concatenate([self.normal_node, self.tangent_node])
 
     def nodal_vectors(self, normal: Array, tangential: Array) -> Array:
         """Return normal component and tangential vector (n, 1 + d) from values of rows of N and T.
 
-        The normal component is 0 at nodes without a row of N.
+        Each is 0 at nodes without rows of N or T. Values are (n_normal,) and (n_tangential,).
         """
         result = np.pad(np.zeros_like(self.normals), ((0, 0), (1, 0)))
         result[self.normal_node, 0] = normal
@@ -137,7 +137,7 @@ class PairOperators:
 
 
 def joined(operators: Sequence[PairOperators]) -> PairOperators:
-    """Return as one the operators of pairs of one group, with their nodes in order."""
+    """Join operators of pairs of a group, node after node: those of nodes that act on one pair."""
     changes: dict[str, Any] = {}
     for name in (*NODE_ARRAYS, *TANGENTIAL_ARRAYS):
         arrays = [getattr(pair, name) for pair in operators]
@@ -149,7 +149,7 @@ def joined(operators: Sequence[PairOperators]) -> PairOperators:
 
 
 def _directional_rows(jump: Any, rows: LocalNumbers, directions: Array) -> Any:
-    """Return sparse `rows` (n,) of a jump (nodes, nodes of V) along unit vectors (n, d), (n, dofs).
+    """Return `rows` (n,) of a jump (nodes, nodes of V) along unit vectors (n, d): sparse (n, dofs).
 
     Each entry becomes d entries, in the columns of its node's components.
     """

@@ -43,7 +43,7 @@ def pair_surfaces(
 def pair_all_surfaces(
     V: Any, prescribed: Mask, pairs: Sequence[ContactPair], *, axisymmetric: bool
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of each pair, at the present positions of the nodes. Collective.
+    """Compute N, T and the gap of each pair, at the mesh's positions of the nodes. Collective.
 
     V is a space of vectors of degree 1 or 2; `prescribed` (owned dofs,) tells which degrees of
     freedom are prescribed. If `axisymmetric`, integrals are over rings about the axis x = 0.
@@ -57,11 +57,11 @@ def pair_all_surfaces(
 
 
 def pair_displaced_surfaces(V: Any, undeformed: Undeformed, u: Array) -> list[PairOperators]:
-    """Compute N, T and the gap of a group's pairs, displaced by u. Collective.
+    """Compute N, T and the gap of each pair of a group, displaced by u. Collective.
 
-    The gap is the distance between the displaced surfaces; the gap for displacements from the
-    undeformed surfaces is this gap plus N u, with the N in the result. `u` (nodes, dim of space) is
-    the displacement of this rank's nodes [length], from `straightened`.
+    The gap is the distance between the displaced surfaces; `displaced_jump` adds N u, with the N of
+    the result, to compare it with N times the total displacement. `u` (nodes, dim of space) is the
+    displacement of this rank's nodes, ghosts included [length], from `straightened`.
     """
     return _pair(V, undeformed, undeformed.displaced(V, u), displaced=True)
 
@@ -71,7 +71,7 @@ def _pair(
 ) -> list[PairOperators]:
     """Compute N, T and the gap of each pair of a group from the facets of its sides. Collective.
 
-    `sides` are as in `Undeformed`; if they are `displaced`, nothing is checked or warned of again.
+    `sides` are as in `Undeformed`. If they are `displaced`, the mesh is not checked again.
     """
     group, comm = undeformed.group, V.mesh.comm
     pair, primary = group.surfaces, None
@@ -111,16 +111,16 @@ def _overlap_integrals(
 
     Returns:
         the secondary nodes and the primary facets that this rank needs; the integrals; and a mask
-        (n,) of nodes without a multiplier, since they are on both sides, or since another node of a
-        surface that touches itself has the same jump.
+        (n,) of secondary nodes that may have no multiplier: they are on both sides, or, on a
+        surface that touches itself, have the jump of another node or none (`redundant_nodes`).
     """
     comm, pair = V.mesh.comm, group.surfaces
-    around, across = halos(V, sides[0], sides[-1], pair.search_limit)
+    halo, primary_halo = halos(V, sides[0], sides[-1], pair.search_limit)
     if pair.touches_itself:
-        nodes = primary_nodes = _surface_nodes(V, pair, "secondary", across, displaced)
+        nodes = primary_nodes = _surface_nodes(V, pair, "secondary", primary_halo, displaced)
     else:
-        nodes = _surface_nodes(V, pair, "secondary", around, displaced)
-        primary_nodes = _surface_nodes(V, pair, "primary", across, displaced)
+        nodes = _surface_nodes(V, pair, "secondary", halo, displaced)
+        primary_nodes = _surface_nodes(V, pair, "primary", primary_halo, displaced)
     facets, primary = nodes.facets, primary_nodes.facets
 
     def tags_may_meet(facet: Indices, partner: Indices) -> Mask:
@@ -143,10 +143,10 @@ def _overlap_integrals(
 def _check_meshes_match(
     V: Any, pair: ContactPair, operators: PairOperators, nodes: SurfaceNodes
 ) -> None:
-    """Raise PairingError unless each secondary node faces one primary node. Collective.
+    """Raise PairingError unless each contact node is opposite to a primary node. Collective.
 
-    On matching meshes both means at a node have the weight 1. At a distance t from a primary node,
-    in sizes of a facet, its weight is 1 - t: the sums of squares of weights differ by about 2 t.
+    On matching meshes the mean over each side is the value of a single node, with the weight 1. At
+    a distance of t facets from a primary node its weight is 1 - t: sums of squares differ by 2 t.
     """
     differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
     apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
@@ -166,9 +166,9 @@ def _check_meshes_match(
 def _surface_nodes(
     V: Any, pair: ContactPair, side: SideName, halo: Facets, displaced: bool
 ) -> SurfaceNodes:
-    """Return the nodes of a side's facets, once their normals are checked. Collective.
+    """Return the nodes of a side; check their normals and, undeformed, warn of tears. Collective.
 
-    `halo` are all facets that the pairing on this rank depends on.
+    `halo` are all facets of the side that the pairing on this rank depends on.
     """
     with errors_on_all_ranks(V.mesh.comm):
         nodes = SurfaceNodes(halo)
@@ -187,7 +187,7 @@ def _surface_nodes(
 def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes) -> None:
     """Warn if two nodes of a side are at one place, since the surface is torn there. Collective.
 
-    Nodes of facets with other tags, too, do not count: nodes of adjacent bricks may coincide.
+    Nodes that facets with other tags share do not count: nodes of adjacent bricks may coincide.
     """
     comm, tags, own = V.mesh.comm, pair.facet_tags, owns(V, nodes.numbers)
     outside = tags.indices[tags.values != getattr(pair, side)]

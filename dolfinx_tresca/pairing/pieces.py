@@ -1,6 +1,6 @@
 """Straight pieces of facets, and the search for them along lines, here and on all ranks.
 
-The halo of a side are the facets that a rank needs: its own and copies of those of other ranks.
+The halo of a side are the facets that a rank needs: its own, and copies from other ranks.
 They are requested only from ranks that may have them, judged by the bounding box of the facets that
 each rank owns, and are in the order of the ranks that own them.
 """
@@ -57,7 +57,7 @@ def line_intervals(
 
 
 class Pieces:
-    """Segments, triangles or quadrilaterals that approximate facets.
+    """Segments, triangles or quadrilaterals that approximate facets, for searches and overlaps.
 
     If any facet is curved (`Facets.bent`), each is cut into two (2D) or four pieces, else into one.
 
@@ -102,7 +102,7 @@ class Pieces:
 
     @cached_property
     def _trees(self) -> list[tuple[Indices, Any]]:
-        """The pieces of each size, between two powers of two, and a tree of their centres."""
+        """For radii between two powers of two each: the pieces, and a tree of their centres."""
         _, exponent = np.frexp(self.radii)
         classes = [np.flatnonzero(exponent == power) for power in np.unique(exponent)]
         return [(members, cKDTree(self.centres[members])) for members in classes]
@@ -110,11 +110,11 @@ class Pieces:
     def on_normals(
         self, centres: Array, normals: Array, radii: Array, limit: Array
     ) -> tuple[Indices, Indices]:
-        """Find the pieces, as the balls that enclose them, that moving balls meet.
+        """Find pieces along normals: those whose enclosing balls are met by moving balls.
 
-        Balls with centres (n, 3) and radii (n,) move along unit normals (n, 3) by at most `limit`
-        (n,) both ways [length]; pieces slightly beyond may be met, too. Return the moving ball (m,)
-        of each pair, ascending, and the piece (m,) that it meets.
+        Balls with centres (n, 3) and radii (n,), around other pieces, move along unit normals
+        (n, 3) by at most `limit` (n,) both ways [length]; pieces slightly beyond may be met, too.
+        Return the moving ball (m,) of each pair, ascending, and the piece (m,) that it meets.
 
         The search advances along a line as far as the distance to the nearest piece allows: the
         work is proportional to the number of lines times the logarithm of this distance.
@@ -145,14 +145,14 @@ class Pieces:
         moving, met = np.divmod(np.unique(np.concatenate(pairs)), max(len(self.centres), 1))
         offset = self.centres[met] - centres[moving]
         along = dots(offset, normals[moving])
-        across = np.linalg.norm(offset - along[:, None] * normals[moving], axis=1)
-        meet = across <= (radii[moving] + self.radii[met]) * (1.0 + 1e-9)
+        aside = np.linalg.norm(offset - along[:, None] * normals[moving], axis=1)
+        meet = aside <= (radii[moving] + self.radii[met]) * (1.0 + 1e-9)
         return moving[meet], met[meet]
 
     def facing(
         self, chosen: Indices, partners: Pieces, limit: Array
     ) -> Iterator[tuple[Indices, Indices]]:
-        """Yield pairs of chosen pieces, ascending, and partners along their normals, in blocks.
+        """Yield pairs of chosen (m,) pieces, ascending, and partners along normals, in blocks.
 
         The normals of both are opposed. All pairs of a piece are in one block; `limit` (pieces,) is
         the search distance [length].
@@ -166,12 +166,12 @@ class Pieces:
             yield piece[opposed], partner[opposed]
 
     def local_coordinates(self, piece: Indices, points: Array) -> Array:
-        """Return points (n, k, 3) in the frames of pieces (n,), from their centres."""
+        """Return points (n, k, 3), as (n, k, dim + 1), in the frames at centres of pieces (n,)."""
         relative = points - self.centres[piece][:, None]
         return np.asarray(np.einsum("nki,ndi->nkd", relative, self.frames[piece]))
 
     def near(self, points: Array, reach: Array) -> tuple[Indices, Indices]:
-        """Return pairs of points (n, 3), ascending, and pieces nearer than reach (n,) [length]."""
+        """Return pairs: index of a point (n, 3), ascending, and of a piece within reach (n,)."""
         within = reach + self.radii.max(initial=0.0)
         point, piece = flattened(cKDTree(self.centres).query_ball_point(points, within))
         is_near = self.distances(piece, points[point]) < reach[point]
@@ -194,19 +194,19 @@ class Pieces:
         return np.asarray(result)
 
 
-#: Distance from a piece, relative to the radius of the largest piece, within which the second ring
-#: of its neighbours begins. With half of it, curved facets there would have other normals.
+#: Distance from a piece, relative to the radius of the largest piece, within which all facets of
+#: two rings around it begin. With half of it, curved facets there would have other normals.
 TWO_RINGS = 4.0
 
 
 def owns(V: Any, nodes: GlobalNumbers) -> Mask:
-    """Return whether this rank owns nodes with global numbers (...). Not collective."""
+    """Return the mask (...) of nodes, global numbers (...), that this rank owns. Not collective."""
     low, high = V.dofmap.index_map.local_range
     return np.asarray((nodes >= low) & (nodes < high))
 
 
 def owners_flags(V: Any, nodes: GlobalNumbers, flags: Mask) -> Mask:
-    """Return for each node its owner's flag (n,); the owner has all facets at it. Collective."""
+    """Return each node's flag (n,) on its owner, which has all facets at it. Collective."""
     return np.isin(nodes, gather_rows(V.mesh.comm, nodes[flags & owns(V, nodes)]))
 
 
@@ -216,7 +216,7 @@ def at_own_nodes(V: Any, facets: Facets) -> Indices:
 
 
 def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
-    """Return all facets with a corner that this rank owns, given its own facets. Collective."""
+    """Return all facets with a corner that this rank owns, given the facets it owns. Collective."""
     ends = V.mesh.comm.allgather(V.dofmap.index_map.local_range[1])
     ranks = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
     result = _sent(
@@ -233,10 +233,10 @@ def near_lines(
     reach: Array,
     length: Array | float,
 ) -> Facets:
-    """Return this rank's facets and those of all ranks that are close to its lines. Collective.
+    """Return the facets that this rank owns, and all that are close to its lines. Collective.
 
-    Lines go through points (n, 3) along unit directions (n, 3), by a length, a number or (n,), both
-    ways [length]; without length they are points. Facets within `reach` (n,) of them are close.
+    Lines go through points (n, 3) along unit directions (n, 3) by `length`, a number or (n,), both
+    ways [length]; with length 0 they are points. Facets of any rank within `reach` (n,) are close.
     """
     if comm.size == 1:
         return owned
@@ -267,7 +267,7 @@ def near_lines(
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
-    """Send facets (n,) to ranks (n,); return the own facets and those received. Collective."""
+    """Send owned facets (n,) to ranks (n,); return the owned and the received ones. Collective."""
     arrays = {name: getattr(owned, name) for name in FACET_ARRAYS}
     count = len(owned.points)
     kinds = [(name, array.dtype, array.shape[1:]) for name, array in arrays.items()]
@@ -283,7 +283,7 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
 
 
 def with_neighbours(V: Any, owned: Facets) -> Facets:
-    """Return all facets at this rank's nodes and two rings around them. Collective.
+    """Return all facets at nodes that this rank owns, and two rings around them. Collective.
 
     A ring is all facets at the corners of the facets inside it: `SmoothSurface` depends on two.
     """
@@ -296,9 +296,9 @@ def with_neighbours(V: Any, owned: Facets) -> Facets:
 def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Facets, Facets]:
     """Return all facets that the pairing of the facets at this rank's nodes depends on. Collective.
 
-    The facets of both sides that this rank owns are given, and the search distance [length]. The
-    result has the facets of both sides along the normals of the facets at this rank's nodes; the
-    primary facets near those that penetrate; and two rings around all (`with_neighbours`).
+    Given are the facets of both sides that this rank owns, and the search distance `limit`. The
+    result has the facets of both sides along the normals of the secondary facets at this rank's
+    nodes; the primary facets near those that penetrate; and two rings around all.
     """
     comm = V.mesh.comm
     if comm.size == 1:
@@ -309,8 +309,8 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far, reach = limit + mine.radii + rings, mine.radii + rings
     lines = mine.centres, mine.normals, reach, far
-    around, across = (near_lines(comm, side, *lines) for side in (secondary, primary))
-    partners = Pieces(across)
+    halo, primary_halo = (near_lines(comm, side, *lines) for side in (secondary, primary))
+    partners = Pieces(primary_halo)
     # if a facet may penetrate deeply, the primary facets around it decide whether it does
     depth: Array = np.zeros(len(far))
     for own, partner in mine.facing(np.arange(len(far)), partners, far):
@@ -321,5 +321,5 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     if comm.allreduce(deep.any(), MPI.LOR):
         points = mine.centres[deep], mine.normals[deep], near[deep], np.zeros(deep.sum())
         joined = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
-        across = near_lines(comm, primary, *joined)
-    return around, across
+        primary_halo = near_lines(comm, primary, *joined)
+    return halo, primary_halo

@@ -43,11 +43,11 @@ from dolfinx_tresca.scene.geometry import (
 )
 from dolfinx_tresca.scene.pair import SIDES, ContactPair, SideName
 
-#: Arguments that pairs of a group must have in common.
+#: Arguments of `ContactPair` that the pairs of a group must have in common.
 COMMON = ("sliding", "search_distance", "pairing", "geometry")
 
-#: Distance of a corner from its surface, relative to the facet, beyond which the geometry must be
-#: wrong. Nodes that could not be snapped to the surface are nearer than this.
+#: Distance of a corner from its surface, relative to the size of the facet, beyond which a geometry
+#: that the user gives must be wrong. Nodes that could not be snapped to the surface are nearer.
 FAR_CORNER = 0.5
 
 
@@ -55,17 +55,17 @@ class PairGroup:
     """Pairs that are paired as one pair of surfaces, so that a node has one multiplier.
 
     Attributes:
-        numbers: the position of each pair, of `pairs`, in the list of the problem.
-        surfaces: the pair of surfaces with the tags of all pairs, and the law of one of them.
+        pairs, numbers: the pairs, and the position of each in the list of the problem.
+        surfaces: a single pair with the tags of all pairs, and the law of the first, for pairing.
         pair_of_tags: (secondary tags, primary tags) index in `pairs` of the pair between two tags
             of `surfaces`; -1 if there is none, so that facets with these tags are not paired.
         rank: (pairs,) rank of the laws, equal for pairs with the same law and the same added gap.
             Of the pairs that meet at a node, those with the largest rank determine its law; the
-            first pair with this rank has the multiplier.
+            first pair of the group with this rank has the multiplier.
     """
 
     def __init__(self, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> None:
-        """Join some pairs, which must have equal `facet_tags` and arguments `COMMON`."""
+        """Join pairs, which must have equal `facet_tags` and equal arguments in `COMMON`."""
         self.pairs, self.numbers, pattern = tuple(pairs), tuple(numbers), pairs[0]
         for pair in pairs[1:]:
             _check_agree(pattern, pair)
@@ -95,13 +95,13 @@ class PairGroup:
             )
 
     def owners(self, shares: Array) -> Indices:
-        """Return the pair (n,) that has each node's multiplier, by the area (n, pairs) in each."""
+        """Return which pair (n,) has each node's multiplier, from the areas (n, pairs) of pairs."""
         belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         strongest = np.where(belongs, self.rank, -1).max(axis=1, keepdims=True)
         return np.asarray(np.argmax(self.rank == strongest, axis=1))
 
     def say_laws(self, comm: MPI.Comm, shares: Array) -> None:
-        """Log which law acts at nodes of pairs with different laws or gaps. Collective."""
+        """Warn which law acts at nodes of pairs with different laws or gaps. Collective."""
         belongs = shares > NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
         for i, j in combinations(range(len(self.pairs)), 2):
             if self.rank[i] == self.rank[j]:
@@ -118,7 +118,7 @@ class PairGroup:
 
 
 def _check_agree(pattern: ContactPair, pair: ContactPair) -> None:
-    """Raise InputError if two pairs of one group differ in an argument that it has in common."""
+    """Raise InputError if two pairs of one group differ in `facet_tags` or those of `COMMON`."""
     differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
     given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
     if given._cpp_object is not second._cpp_object:
@@ -131,7 +131,7 @@ def _check_agree(pattern: ContactPair, pair: ContactPair) -> None:
 
 
 def _same(pair: ContactPair, second: ContactPair) -> bool:
-    """Return whether two pairs have the same kind of law, its same arguments, and the same gap."""
+    """Return whether two pairs have the same kind of law, with equal arguments, and equal gaps."""
     laws = pair.friction, second.friction
     arguments = [(pair.gap, second.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
     return type(laws[0]) is type(laws[1]) and all(bool(np.all(a == b)) for a, b in arguments)
@@ -140,7 +140,7 @@ def _same(pair: ContactPair, second: ContactPair) -> bool:
 def _strength(law: Friction) -> tuple[int, float, float]:
     """Return what orders laws by strength: kind, coefficient of friction and constant bound.
 
-    The kind is 2 if bonded, 1 with friction, else 0; bounds that are no numbers count as 0.
+    Kinds are 2 if bonded, 1 with friction or 0. Of two bounds the larger counts, a function as 0.
     """
     if not isinstance(law, DryFriction):
         return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
@@ -154,7 +154,7 @@ def _strength(law: Friction) -> tuple[int, float, float]:
 def groups_of(V: Any, pairs: Sequence[ContactPair]) -> list[PairGroup]:
     """Return the pairs in groups that share secondary nodes and a primary body. Collective.
 
-    With obstacles, it is the same obstacle. Surfaces that touch themselves are groups of their own.
+    An obstacle counts like a primary body. Surfaces that touch themselves are groups of their own.
     """
     single = [not pair.touches_itself for pair in pairs]
     deformable = np.array([pair.obstacle is None for pair in pairs])
@@ -177,8 +177,8 @@ def _shared(
 ) -> Mask:
     """Return a mask (pairs, pairs) of pairs that share nodes, or bodies, on a side. Collective.
 
-    Pairs are compared by the `label` (nodes of V,) of their nodes' bodies, or if it is None by the
-    nodes. Only pairs in `compared` (pairs,) are, whose side is deformable.
+    Given the body of each node as `label` (nodes of V,), pairs share bodies; if it is None, nodes.
+    Only pairs in the mask `compared` (pairs,), whose side must be deformable, share anything.
     """
     comm, dim = V.mesh.comm, V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(dim, dim + 1)
@@ -188,7 +188,7 @@ def _shared(
         nodes = fem.locate_dofs_topological(V, dim, facets)  # those of facets of other ranks, too
         items = nodes if label is None else np.concatenate(comm.allgather(np.unique(label[nodes])))
         rows.append(np.column_stack([items, np.full(len(items), k)]))
-    # the product counts the common items of two pairs, on this rank
+    # the product counts the common items, nodes or bodies, of two pairs on this rank
     item, pair = np.concatenate(rows).T
     shape = int(item.max(initial=-1)) + 1, len(pairs)
     incidence = coo_array((np.ones(len(item)), (item, pair)), shape=shape).tocsr()
@@ -196,10 +196,10 @@ def _shared(
 
 
 class Undeformed:
-    """The facets of a pair's undeformed surfaces that this rank owns.
+    """The facets of a group's undeformed surfaces that this rank owns, to be displaced later.
 
     Attributes:
-        group: the pairs, which are paired together.
+        group: the pairs between these surfaces, which are paired together.
         sides: the facets of each side, the secondary side first. An obstacle is no side, and a
             surface that touches itself is one side.
     """
@@ -231,7 +231,7 @@ class Undeformed:
 
 
 def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -> Facets:
-    """Return this rank's facets of a side; check that tags have exterior ones. Collective."""
+    """Return this rank's facets of a side; check that tags have only exterior ones. Collective."""
     mesh, (facet_tags, tags) = V.mesh, pair.given_tags(side)
     comm, dim = mesh.comm, mesh.topology.dim - 1
     for entity, neighbour in ((dim, dim + 1), (dim + 1, dim)):
@@ -258,21 +258,21 @@ def tagged_facets(V: Any, prescribed: Mask, pair: ContactPair, side: SideName) -
 
 
 def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indices) -> Facets:
-    """Return the facets (n,) of a mesh, which are on its boundary, as `Facets`. Collective."""
+    """Return exterior facets (n,) of the mesh, with `tag_index` (n,), as `Facets`. Collective."""
     mesh, dofmap, dim = V.mesh, V.dofmap, V.mesh.topology.dim - 1
-    # the cell of each facet, and the nodes of each side of a cell, as places in the cell's list
+    # the cell of each facet, the facet's number in it, and the nodes of each facet of a cell
     to_cell = mesh.topology.connectivity(dim, dim + 1)
     cells = to_cell.array[to_cell.offsets[facets]]
     kinds = basix.cell.subentity_types(V.element.basix_element.cell_type)[dim]
-    cell, sides = kinds[0].name, len(kinds)
-    of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, sides)
-    place = (of_cell[cells] == facets[:, None]).argmax(axis=1)
-    closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(sides)]
+    cell, per_cell = kinds[0].name, len(kinds)
+    of_cell = mesh.topology.connectivity(dim + 1, dim).array.reshape(-1, per_cell)
+    facet_in_cell = (of_cell[cells] == facets[:, None]).argmax(axis=1)
+    closures = [dofmap.dof_layout.entity_closure_dofs(dim, i) for i in range(per_cell)]
     corners = len(basix.topology(kinds[0])[0])
 
     x = V.tabulate_dof_coordinates()
     cell_nodes = dofmap.list[cells]
-    nodes = np.take_along_axis(cell_nodes, np.array(closures)[place], axis=1)
+    nodes = np.take_along_axis(cell_nodes, np.array(closures)[facet_in_cell], axis=1)
     points = x[nodes]
     free = with_owned_values(V, (~prescribed).astype(np.float64)).x.array
     is_free = free.reshape(-1, dofmap.index_map_bs) > 0.5
@@ -299,10 +299,10 @@ def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indice
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Return facets with `bent` as on all ranks; raise PairingError without area. Collective."""
+    """Return facets with `bent` as on any rank; PairingError if any has no area. Collective."""
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
-    # the area is compared with the own diameter squared; the length (2D) with the largest facet
+    # areas are compared with the facet's diameter squared; lengths (2D) with the largest diameter
     expected = diameters**2 if facets.dim == 2 else largest
     empty = facets.areas <= (MESH_ROUNDING + facets.rounding) * expected
     count, total = reduce_array(comm, np.array([empty.sum(), len(empty)]))
@@ -356,9 +356,9 @@ def _offsets_of_tags(
     dim: int,
     limit: float,
 ) -> Array:
-    """Return the `Facets.offsets` of facets to the known surfaces of their tags.
+    """Return the `Facets.offsets` (n, q, 3) to the exact surfaces of tags, NaN where there is none.
 
-    `limit` is the largest distance of a corner from its surface, relative to the size of the facet.
+    A corner farther than `limit` times the size of the facet from its surface is an InputError.
     """
     result = np.full((len(facets.points), len(facets.lagrange_points(OFFSET_DEGREE)), 3), np.nan)
     for k, tag in enumerate(tags):
@@ -367,9 +367,9 @@ def _offsets_of_tags(
         index = np.flatnonzero(facets.tag_index == k)
         of_tag = facets.selected(index)
         result[index] = _offsets(of_tag, tag, surfaces[tag].projections, dim)
-        widths = np.ptp(of_tag.points, axis=1).max(axis=1)
+        sizes = np.ptp(of_tag.points, axis=1).max(axis=1)
         away = np.linalg.norm(result[index, : facets.corners], axis=2).max(axis=1)
-        relative = (away / widths).max(initial=0.0)
+        relative = (away / sizes).max(initial=0.0)
         if relative > limit:
             raise InputError(
                 f"facets with tag {tag} are not on their surface in `geometry`: a corner is "
@@ -381,14 +381,14 @@ def _offsets_of_tags(
 
 
 def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
-    """Return the `Facets.offsets` of facets by the projections onto the pieces of their surface.
+    """Return the `Facets.offsets` of facets from projections onto the patches of one surface.
 
-    A facet belongs to the piece nearest to its corners; at edges of pieces, nearest to its centre.
+    A facet belongs to the patch nearest to its corners; of equally near ones, to its centre.
     """
     points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
 
     def offsets(projection: Projection, points: Array) -> Array:
-        """Return vectors (..., 3) from points to their projections; equal points count once."""
+        """Return vectors (..., 3) from points to projections; equal points are projected once."""
         places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
         steps = project_points(places, f"geometry[{tag}]", projection, dim) - places
         return np.asarray(steps[index.ravel()].reshape(points.shape))
@@ -410,10 +410,10 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: i
 
 
 def straightened(V: Any, u: Array) -> Array:
-    """Return u (nodes, dim) without what would bend edges beyond the degree of the geometry.
+    """Return u (nodes, dim) [length] such that straight edges of the mesh remain straight.
 
-    Nodes between vertices get the mean displacement [length] of the vertices of their edge, face or
-    cell. `load_steps.displaced_jump` says how the gap then includes the bending.
+    If V has a higher degree than the mesh, nodes between vertices get the mean displacement of the
+    vertices of their edge, face or cell; `displaced_jump` says how the gap includes the bending.
     """
     element = V.element.basix_element
     if element.degree <= geometry_degree(V.mesh):

@@ -1,4 +1,4 @@
-"""Which facets may meet: overlaps, what a body hides, self-contact.
+"""Which facets may meet: overlaps, points that a body hides, self-contact.
 
 On a surface that touches itself, a point where two facets meet is seen from both, but must be
 constrained only once. An order of the facets (`SelfContact`) decides which of two is secondary, by
@@ -27,8 +27,8 @@ SHALLOW_DEPTH = 0.1
 #: Ratio of the mean facet sizes of two bodies below which the finer body is secondary. With 1,
 #: rounding would decide between equal bricks.
 FINER = 2.0**-0.5
-#: Direction that orders the facets of one body, parallel to no face of a usual slit: on such a slit
-#: rounding would decide the roles, and most nodes would lose their multipliers.
+#: Direction that orders the facets of one body, parallel to no face of a usual slit: on a slit with
+#: faces along it, rounding would decide the roles, and most nodes would lose their multipliers.
 ORDER = np.array([0.49, 0.63, 0.60])
 
 #: Least distance of the two faces of a wall, relative to the undeformed one: no wall gets thinner.
@@ -56,7 +56,7 @@ class Visibility:
     """
 
     def __init__(self, pieces: Pieces, partners: Pieces, body: Indices | None = None) -> None:
-        """Keep the pieces of both sides; `body` of each piece, if the surface touches itself."""
+        """Keep the pieces of both sides, and if the surface touches itself each piece's `body`."""
         self._pieces, self._partners, self._body = pieces, partners, body
 
     def hidden(
@@ -179,7 +179,7 @@ class Visibility:
 
 
 def _around_origin(corners: Array) -> Mask:
-    """Return whether the origin lies in segments or polygons (n, corners, d), or on their edges."""
+    """Return in which (n,) segments or convex polygons (n, corners, d), or on whose edge, 0 is."""
     if corners.shape[2] == 1:
         low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
         slack = MISMATCH * (high - low)
@@ -193,10 +193,10 @@ def _around_origin(corners: Array) -> Mask:
 def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     """Intersect pairs of segments or convex polygons and cut the intersections into simplices.
 
-    The corners are (n, a, d) and (n, b, d), of segments (d = 1) or convex polygons (d = 2), which
-    are cut into triangles round their centroid: these depend neither on rounding nor on the order
-    of the corners. Return the simplices (m, d + 1, d), their areas (m,) [length^d], and the index
-    (m,) of their pair, ascending.
+    The corners are (n, a, d) and (n, b, d), of segments (d = 1) or convex polygons (d = 2). An
+    intersection of polygons is cut into triangles round its centroid, so that these depend neither
+    on rounding nor on the order of the corners. Return the simplices (m, d + 1, d), their areas
+    (m,) [length^d], and the index (m,) of their pair, ascending.
     """
     low = np.maximum(own.min(axis=1), partners.min(axis=1))
     high = np.minimum(own.max(axis=1), partners.max(axis=1))
@@ -228,7 +228,7 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     """Return the part (n, c, 2) of each convex polygon (n, k, 2) on the left of its line.
 
-    The line goes through `start` (n, 2) along (n, 2) (Sutherland and Hodgman 1974). Polygons with
+    The line goes from `start` (n, 2) along `along` (n, 2) (Sutherland and Hodgman 1974). Parts with
     fewer than c corners repeat their last one, and all corners of an empty polygon are equal. A
     polygon whose corners coincide up to rounding may cross its line more than twice.
     """
@@ -258,8 +258,8 @@ def _cross(a: Array, b: Array) -> Array:
 class SelfContact:
     """Decides which facets of a surface that touches itself may meet, and which is secondary.
 
-    Its attributes are the columns of `facet_origins`, in the undeformed mesh; `present_centre` and
-    `present_normal`; and the nodes at the `corners` (n, corners).
+    Attributes `body`, `size`, `centre`, `normal` and `radius` are `facet_origins`, undeformed;
+    `present_centre` and `present_normal` (n, 3) displaced; `corners` (n, corners) node numbers.
     """
 
     def __init__(self, facets: Facets) -> None:
@@ -292,9 +292,9 @@ class SelfContact:
     def is_secondary(self, facet: Indices, partner: Indices) -> Mask:
         """Return, for pairs of facets (m,), whether the first one is secondary, (m,).
 
-        Of two bodies see `is_secondary_body`. If two facets of one body face each other in the
-        undeformed mesh, as in a slit, it is the facet whose normal points along `ORDER`; otherwise,
-        as on a folded sheet, the facet that comes first in this direction.
+        Of two bodies see `is_secondary_body`. If two facets of one body have opposed normals in the
+        undeformed mesh, as in a slit, it is the facet whose normal is more along `ORDER`; else, as
+        on a folded sheet, the facet that comes first in this direction.
         """
         f, g = facet, partner
         of_bodies = is_secondary_body(self.body[f], self.body[g], self.size[f], self.size[g])
@@ -314,7 +314,7 @@ def is_secondary_body(body: Any, partner: Any, size: Any, partner_size: Any) -> 
 
 
 def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices) -> Array:
-    """Return the smaller depth (m,) of two facets' centres, each behind the other facet's plane."""
+    """Return the smaller depth (m,) of two facets' centres, each behind the other's plane."""
     offset = centre[partner] - centre[facet]
     return np.minimum(-dots(offset, normal[facet]), dots(offset, normal[partner]))
 
@@ -322,8 +322,8 @@ def _least_depth(centre: Array, normal: Array, facet: Indices, partner: Indices)
 def facet_origins(V: Any, facets: Facets) -> Array:
     """Return `Facets.origins` of this rank's undeformed facets. Collective.
 
-    The columns are the body, the mean size of its facets, and the facet's centre (3), outward unit
-    normal (3) and radius, all lengths in [length].
+    Rows have the body, the mean size of its facets on the surface [length], and the facet's centre
+    (3) [length], outward unit normal (3) and radius [length], for `SelfContact`.
     """
     comm = V.mesh.comm
     labels = label_bodies(V)
@@ -345,7 +345,7 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, exchanged: Indices) ->
     secondary on one facet and primary on the next. Both would have the same jump: the node that
     comes first in the mesh file has the multiplier, and the second one is redundant. So is a node
     that is opposite to itself, such as the tip of a crack, which has no jump. Valid for nodes with
-    all facets on this rank; `paired` and `exchanged` are `MortarIntegrals.pairs` and `.exchanged`.
+    all facets on this rank; `paired` (p, 2) and `exchanged` (q, 2) are those of `MortarIntegrals`.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
