@@ -34,7 +34,7 @@ class ContactSurface:
 
     Attributes:
         cell: (m,) the cells of the secondary facets.
-        sides: of the secondary side, and of the primary one if it is a body: cells (m,), numbers of
+        sides: for the secondary side, and the primary one if it is a body: cells (m,), numbers of
             facets in cells (m,) and tractions at the facets' vertices (m, d, d) [stress].
     """
 
