@@ -217,10 +217,10 @@ class SmoothSurface:
         return offsets, normals
 
     def turns_along(self, facet: Indices, lean: Array, to_ends: bool = False) -> Array:
-        """Return the angles (n,) [rad] by which normals turn over facets (n,) along `lean` (n, 3).
+        """Return the angles (n,) [rad] by which normals turn over facets (n,) along `lean`.
 
-        With `to_ends` angles are larger where normals are less accurate, so that the partner's
-        decide: at kinks those of the fitted normals; up to a right angle where the surface ends.
+        `lean` (n, 3) is the sum of both sides' normals. With `to_ends` angles are larger where the
+        surface is kinked (those of fitted normals) or ends, so that the partner's normals decide.
         """
         normals = self._facet_normals[facet]
         along = lean - dots(lean, normals)[:, None] * normals
@@ -289,7 +289,7 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     The mean of the facets' normals has an error that is a fixed part of the angle between facets; a
     least-squares fit has none (Cazals and Pouget 2005, Estimating differential quantities using
     polynomial fitting of osculating jets). With too few neighbours the mean is kept
-    (`TILT_COST`). Valid at nodes whose facets are all on this rank.
+    by `TILT_COST`. Valid at nodes whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
     # all pairs of two corners of a facet: a neighbour counts once for each facet that has both

@@ -69,7 +69,7 @@ class Facets:
         degree: polynomial degree of the displacement.
         nodes: (n, k) global numbers of the displacement's nodes, corners first.
         points: (n, k, 3) positions of the nodes [length].
-        free: (n, corners, dim of space) mask of the free components of a corner's displacement.
+        free: (n, corners, dim of space) mask of the free components of corners' displacements.
         file_numbers: (n, corners) numbers of the corners in the mesh file.
         outward: (n,) 1 if the order of the nodes gives the outward normal, else -1.
         offsets: (n, q, 3) vectors from the nodes of a Lagrange basis of `OFFSET_DEGREE` to the
@@ -125,7 +125,7 @@ class Facets:
 
     @property
     def areas(self) -> Array:
-        """The areas (n,) of the facets [length^2]; in 2D, rings included, lengths [length]."""
+        """The areas (n,) of the facets [length^2]; in 2D lengths, even of rings [length]."""
         points, weights = quadrature(self.cell, 2 * self.degree)
         return np.asarray(np.linalg.norm(self.area_vectors(points), axis=2) @ weights)
 
@@ -294,7 +294,7 @@ class SurfaceNodes:
         weights: (n,) integral of the node's hat function over its patch [length^2, in 2D length].
         normals: (n, 3) outward unit normals: means over the facets of the patch at the node,
             without prescribed components, since means over one side of a symmetry plane are tilted.
-        free: (n, dim of space) mask of the components of the displacement that are free.
+        free: (n, dim of space) mask of the components that are not prescribed.
         facet_nodes: (facets, corners) index of each facet's corners in the arrays of n entries.
         has_no_normal: (n,) whether the normals of the facets cancel.
     """

@@ -103,7 +103,7 @@ class _PointsOfSide:
     """
 
     def __init__(self, surface: SmoothSurface, facet: Indices, nodes: Array, places: Array) -> None:
-        """Find points over `places` (n, dim); facets have `nodes` (n, k, dim + 1), in frames."""
+        """Find points over places (n, dim) on facets with nodes (n, k, dim + 1), in frames."""
         self.facet, self.x = facet, project(surface.facets, nodes[:, :, :-1], places)
         self.values = surface.facets.basis(self.x)
         self.height = dots(self.values, nodes[:, :, -1])

@@ -137,7 +137,7 @@ class PairOperators:
 
 
 def joined(operators: Sequence[PairOperators]) -> PairOperators:
-    """Join operators of pairs of a group, node after node: those of nodes that act on one pair."""
+    """Join operators of pairs of a group at the nodes that act on one pair (`by_pair`)."""
     changes: dict[str, Any] = {}
     for name in (*NODE_ARRAYS, *TANGENTIAL_ARRAYS):
         arrays = [getattr(pair, name) for pair in operators]

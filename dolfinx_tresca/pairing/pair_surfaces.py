@@ -36,14 +36,14 @@ from dolfinx_tresca.scene.pair import ContactPair, SideName
 def pair_surfaces(
     V: Any, prescribed: Mask, pair: ContactPair, *, axisymmetric: bool = False
 ) -> PairOperators:
-    """Compute N, T and the gap of a single pair; see `pair_all_surfaces`. Collective."""
+    """Compute N, T and the gap of a single pair, as `pair_all_surfaces` does. Collective."""
     return pair_all_surfaces(V, prescribed, [pair], axisymmetric=axisymmetric)[0]
 
 
 def pair_all_surfaces(
     V: Any, prescribed: Mask, pairs: Sequence[ContactPair], *, axisymmetric: bool
 ) -> list[PairOperators]:
-    """Compute N, T and the gap of each pair, at the mesh's positions of the nodes. Collective.
+    """Compute N, T and the gap of each pair, at the positions of the mesh's nodes. Collective.
 
     V is a space of vectors of degree 1 or 2; `prescribed` (owned dofs,) tells which degrees of
     freedom are prescribed. If `axisymmetric`, integrals are over rings about the axis x = 0.

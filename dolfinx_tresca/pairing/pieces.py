@@ -206,7 +206,7 @@ def owns(V: Any, nodes: GlobalNumbers) -> Mask:
 
 
 def owners_flags(V: Any, nodes: GlobalNumbers, flags: Mask) -> Mask:
-    """Return each node's flag (n,) on its owner, which has all facets at it. Collective."""
+    """Return for each node the flag (n,) of its owner, which has all facets at it. Collective."""
     return np.isin(nodes, gather_rows(V.mesh.comm, nodes[flags & owns(V, nodes)]))
 
 

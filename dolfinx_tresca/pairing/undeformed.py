@@ -299,7 +299,7 @@ def _extracted(V: Any, prescribed: Mask, facets: LocalNumbers, tag_index: Indice
 
 
 def with_checked_areas(comm: MPI.Comm, facets: Facets, pair: ContactPair, side: SideName) -> Facets:
-    """Return facets with `bent` as on any rank; PairingError if any has no area. Collective."""
+    """Return facets with `bent` of any rank; raise PairingError if one has no area. Collective."""
     diameters = np.linalg.norm(np.ptp(facets.points, axis=1), axis=1)
     largest, bent = reduce_array(comm, [diameters.max(initial=0.0), float(facets.bent)], MPI.MAX)
     # areas are compared with the facet's diameter squared; lengths (2D) with the largest diameter
@@ -358,7 +358,7 @@ def _offsets_of_tags(
 ) -> Array:
     """Return the `Facets.offsets` (n, q, 3) to the exact surfaces of tags, NaN where there is none.
 
-    A corner farther than `limit` times the size of the facet from its surface is an InputError.
+    A corner farther than `limit` times the facet's size from its surface raises InputError.
     """
     result = np.full((len(facets.points), len(facets.lagrange_points(OFFSET_DEGREE)), 3), np.nan)
     for k, tag in enumerate(tags):

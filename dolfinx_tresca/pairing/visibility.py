@@ -136,7 +136,7 @@ class Visibility:
             yield point, facet[row], height, normals[row, -1] > 0.0
 
     def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
-        """Return whether facets (n,) of one side may hide points of the pieces (n,) below them.
+        """Return which facets (n,) of one side may hide points on the normals of pieces (n,).
 
         Primary facets whose normals are opposed hide nothing, since segments end there. Facets of
         the points' `own` side hide nothing if a segment crosses them at its own start: the piece
@@ -159,9 +159,9 @@ class Visibility:
         return result
 
     def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return whether the primary side is far nearer to points (n,) than their penetration.
+        """Return at which points (n,), given as in `hidden`, a penetration is not credible.
 
-        The limit is `CREDIBLE_PART`; only other bodies count. For arguments see `hidden`.
+        The primary side is much nearer (`CREDIBLE_PART`); in self-contact other bodies count only.
         """
         result = np.zeros(len(piece), dtype=np.bool_)
         deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
@@ -179,7 +179,7 @@ class Visibility:
 
 
 def _around_origin(corners: Array) -> Mask:
-    """Return in which (n,) segments or convex polygons (n, corners, d), or on whose edge, 0 is."""
+    """Return which segments or convex polygons (n, corners, d) contain the origin, with edges."""
     if corners.shape[2] == 1:
         low, high = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
         slack = MISMATCH * (high - low)
@@ -228,7 +228,7 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
 def _clipped(polygons: Array, start: Array, along: Array) -> Array:
     """Return the part (n, c, 2) of each convex polygon (n, k, 2) on the left of its line.
 
-    The line goes from `start` (n, 2) along `along` (n, 2) (Sutherland and Hodgman 1974). Parts with
+    Lines go through `start` (n, 2) along `along` (n, 2) (Sutherland and Hodgman 1974). Parts with
     fewer than c corners repeat their last one, and all corners of an empty polygon are equal. A
     polygon whose corners coincide up to rounding may cross its line more than twice.
     """
@@ -339,7 +339,7 @@ def facet_origins(V: Any, facets: Facets) -> Array:
 
 
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, exchanged: Indices) -> Mask:
-    """Return a mask (n,) of the nodes whose jump another node of the surface already constrains.
+    """Return a mask (n,) of nodes that need no multiplier on a surface that touches itself.
 
     Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
     secondary on one facet and primary on the next. Both would have the same jump: the node that
