@@ -111,4 +111,4 @@ __all__ = [
     "refinement_indicators",
     "solve_adaptively",
 ]
-__version__ = "0.3.0"
+__version__ = "0.2.0"
