@@ -108,7 +108,7 @@ class SolverOptions:
         return replace(self, **given)
 
     def at_least(self, accuracy: float) -> SolverOptions:
-        """Return options for a Newton step: `rtol`, or else a number as `accuracy`, is reduced."""
+        """Return options with `rtol`, or a number as `accuracy`, of at most this `accuracy`."""
         if self.rtol is not None:
             return self.with_changes(rtol=min(self.rtol, accuracy))
         is_number = self.accuracy != "balanced"

@@ -308,7 +308,7 @@ class ContactSystem(PetscOwner):
         return np.array(self.jump.contact_force(multipliers).array)
 
     def update_stiffness(self) -> None:
-        """Assemble and factor K again. Collective."""
+        """Factor K after coefficients have changed; turned bodies keep their frames. Collective."""
         self.compliance.destroy()
         self.compliance = self._factored()
         frames = BodyFrames.at_rest(self.linear, self.bodies, self.pairs)
@@ -369,7 +369,7 @@ class ContactSystem(PetscOwner):
 
     @contextmanager
     def restored(self) -> Iterator[None]:
-        """Restore the state of the process at the end of the block. Collective."""
+        """Restore state, load and gaps after a block that changes them. Collective."""
         state = self.state
         try:
             yield

@@ -61,7 +61,7 @@ class Obstacles:
                 obstacle.motion = RigidMotion.from_matrix(matrix)
 
     def between(self, before: Array, after: Array, fraction: float) -> Array:
-        """Return obstacles' `motions` at a fraction of the way from those `before` to `after`."""
+        """Return `motions` for a part of the load: obstacles on their way, bolts as in `after`."""
         result = np.array(after)
         for place, obstacle, start, end in zip(result, self._obstacles, before, after, strict=True):
             if obstacle is not None and fraction < 1.0:

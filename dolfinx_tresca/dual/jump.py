@@ -174,7 +174,7 @@ class JumpOperator(PetscOwner):
         """
         # the radius of a node's disc is its slip bound times `_relative_radius`, and also times the
         # root of its area if the bound is a stress; a coefficient is a ratio of multipliers. The
-        # discs of frictionless rows, which come last, keep the radius 0
+        # discs of frictionless rows, which come last, get the radius 0
         count, roots = len(self.discs.radius), self._root_areas
         ratios, scaled = self._relative_radius, self._relative_radius * roots
         names = "constant", "coefficient", "limit"

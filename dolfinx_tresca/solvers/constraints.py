@@ -98,7 +98,7 @@ class EqualityConstraints:
         return self.reductions.total(self.absolute.T @ x)
 
     def softness_with(self, added: float) -> csr_array:
-        """Return S + s E (k, k), E = `_exact_projector`: exact equations get s = `added` >= 0."""
+        """Return S + s E, E = `_exact_projector`, s = `added` >= 0: Newton systems are regular."""
         if added == 0.0 or len(self) == 0:
             return self.softness
         return csr_array(self.softness + added * self._exact_projector)

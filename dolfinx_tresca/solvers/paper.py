@@ -65,7 +65,7 @@ def gimssn(run: Run) -> DualSolution:
     """Minimise q over Lambda by ALGORITHM GIMSSN (section 38.4).
 
     Each iteration takes a gradient projection step, which alone gives the R-linear rate of
-    Theorem 38.1, then CG steps of pressed and sticking nodes until one leaves Lambda. The method
+    Theorem 38.1, then CG steps of pressed and sticking nodes before one leaves Lambda. The method
     converges from any start, but slowly if many nodes slip: CG does not change directions of slip.
     """
     problem, feasible_set = run.problem, run.feasible_set

@@ -16,8 +16,8 @@ from dolfinx_tresca._base.tolerances import FORCING, MOST_STEPS
 from dolfinx_tresca.solvers.constraints import Reductions
 from dolfinx_tresca.solvers.feasible_set import Face, FeasibleSet
 
-#: Softness that is added to S of the equality constraints G'lambda + S c = e, times the compliance
-#: of the multipliers: linear systems then have a solution even if the constraints have none.
+#: Softness times the compliance of the multipliers, added to S of the equality constraints
+#: G'lambda + S c = e: linear systems then have a solution even if the constraints have none.
 LEAST_SOFTNESS = 1e-10
 
 #: Largest stiffness C in `NodalMaps.on_face`, divided by the diagonal of the model: a larger one,
