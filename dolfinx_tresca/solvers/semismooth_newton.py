@@ -257,7 +257,7 @@ def interior_guesses(
         x = cones.project(x)
         r = r_at_zero + model.apply(x) - G @ c
         yield newton.point(x, c, r)
-    yield newton.point(0.0 * x, c, r_at_zero - G @ c)
+    yield newton.point(0.0 * x, start.c, r_at_zero - G @ start.c)
 
 
 def solve_model(
