@@ -226,7 +226,9 @@ class SmoothSurface:
         along = lean - dots(lean, normals)[:, None] * normals
         of_corners = self._fitted_normals if to_ends else self.corner_normals
         along_corners = [dots(corner[facet], along) for corner in of_corners.swapaxes(0, 1)]
-        sines = 0.5 * np.ptp(along_corners, axis=0)  # times the length of `along`
+        # where contact ends, both corners of a curve lean alike; in space a facet itself may lean
+        is_curve = self.facets.dim == 1  # sines are those of the angles times the length of `along`
+        sines = np.abs(along_corners).max(axis=0) if is_curve else np.ptp(along_corners, axis=0) / 2
         cosines = np.sqrt(np.maximum(dots(along, along) - sines**2, 0.0))
         least = 0.5 * np.pi * to_ends * self._at_end[facet]
         return np.asarray(np.maximum(2.0 * np.arctan2(sines, cosines), least))
@@ -279,17 +281,15 @@ def _normals_beyond_edges(nodes: SurfaceNodes) -> Array:
 def turned_angles(cosines: Array) -> Array:
     """Return angles (n,) [rad] by which normals turn over facets: twice the largest at a corner."""
     # cosines (n, corners) between a facet's normal and the normals at its corners
-    least = np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)
-    return np.asarray(2.0 * np.arccos(least))
+    return np.asarray(2.0 * np.arccos(np.clip(cosines.min(axis=1, initial=1.0), -1.0, 1.0)))
 
 
 def fitted_normals(nodes: SurfaceNodes) -> Array:
     """Return unit normals (n, 3) of quadratic surfaces fitted to each node and its neighbours.
 
     The mean of the facets' normals has an error that is a fixed part of the angle between facets; a
-    least-squares fit has none (Cazals and Pouget 2005, Estimating differential quantities using
-    polynomial fitting of osculating jets). With too few neighbours the mean is kept
-    by `TILT_COST`. Valid at nodes whose facets are all on this rank.
+    least-squares fit has none (Cazals and Pouget, Computer Aided Geometric Design 22, 2005). With
+    too few neighbours `TILT_COST` keeps the mean. Valid at nodes whose facets are all on this rank.
     """
     count, corners = len(nodes.numbers), nodes.facets.corners
     # all pairs of two corners of a facet: a neighbour counts once for each facet that has both

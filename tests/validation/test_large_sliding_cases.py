@@ -26,15 +26,13 @@ PUBLISHED = {1.0: ((268.0, 332.0), (55.0, 71.0)), 1.5: ((338.0, 421.0), (102.0, 
 
 @pytest.mark.long
 def test_shallow_ironing_to_the_end(comm):
-    """The forces are within the range of the published ones, and smaller near the end.
-
-    At t = 2 the middle of the block is 1.2 mm from the end of the foundation, which gives way.
-    """
+    """Forces are within the published range; at t = 2, near its end, the foundation gives way."""
     found = []
     for n in (40, 60):
         body = ironing(comm, n)
         with body.problem:
             found.append(iron(body, n // 5))
+        assert np.mean(body.newton_steps) < 12.0
     coarse, fine = found
     for time, both in PUBLISHED.items():
         for force, (low, high) in zip(fine[time], both, strict=True):
