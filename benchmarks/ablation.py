@@ -262,7 +262,7 @@ def large(scene: Callable[[Solves], None]) -> Callable[[Solves], None]:
     """Return a scene in which A is not computed at once, as for surfaces with more rows."""
 
     def solve(solves: Solves) -> None:
-        with patch.object(dual_products, "FEW", 0):
+        with patch.object(dual_products, "ENTRIES_AT_ONCE", 0):
             scene(solves)
 
     return solve
@@ -346,7 +346,7 @@ PARTS: dict[str, Patches] = {
     "near field": [(STORE, "__init__", without_near_field)],
     "iteration on the near model": [(iteration, "solve_model", without_near_iteration)],
     "scale of the diagonal": [(STORE, "_append", no_scale)],
-    "A at once where it has few rows": [(dual_products, "FEW", 0)],
+    "A at once where it has few rows": [(dual_products, "ENTRIES_AT_ONCE", 0)],
     "A completed after misses": [(iteration, "MISSES", 10**9)],
     "A completed": [(NEWTON, "complete_products", lambda self: False)],
     "shift of A": [(products, "SHIFT", 0.0)],
@@ -382,7 +382,7 @@ CONSTANTS = {
     "solvers.products": "NEW_ENERGY NULL_ENERGY RESOLVED LASTING_ERROR PRODUCT_ROUNDING SHIFT "
     "LEAST_SOFTNESS",
     "solvers.constraints": "LOST DAMPING RELAXATION MORE_DAMPING PART_ACCURACY LARGEST_REACTION",
-    "dual.products": "FEW MOST_AT_ONCE LARGEST_DENSE LARGEST_DENSE_ITERATIVE LAYERS",
+    "dual.products": "ENTRIES_AT_ONCE MOST_AT_ONCE LARGEST_DENSE LARGEST_DENSE_ITERATIVE LAYERS",
     "dual.program": "LOAD_ACCURACY",
 }
 NEAR_ONE = {

@@ -151,8 +151,7 @@ class FiniteSliding:
         largest, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
         length = max(length, SMALL_STEP * displaced)
         resolution = ROUNDING * (contact.obstacles.extent + displaced)
-        of_gaps = _root_of_ratio(largest**2, length**2, resolution**2)
-        return max(_root_of_ratio(*squares), of_gaps)
+        return max(_root_of_ratio(*squares), _root_of_ratio(largest**2, length**2, resolution**2))
 
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
@@ -279,12 +278,11 @@ def solve_with_finite_sliding(
     sliding.pair_first_configuration()
     cost: dict[str, Any] = {}
     failure = ""
-    last_iteration: Iteration | None = None
+    observed: list[Iteration] = []
 
     def in_configuration(iteration: Iteration) -> bool:
-        nonlocal last_iteration
-        last_iteration = replace(iteration, configuration=sliding.configurations)
-        return observe(last_iteration)
+        observed.append(replace(iteration, configuration=sliding.configurations))
+        return observe(observed[-1])
 
     while True:
         solution = contact.solve(options, units, in_configuration)
@@ -297,15 +295,14 @@ def solve_with_finite_sliding(
             break
         sliding.observe(solution.u)
         if sliding.error <= options.geometry_accuracy:
-            if last_iteration is not None:
-                observe(replace(last_iteration, ended=True))
+            if observed:
+                observe(replace(observed[-1], ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
             status = ContactStatus.MAX_ITERATIONS
             contact.state = contact.state.with_status(status)
             solution = replace(solution, status=status)
-            failure = f"In {number} the error of forces or gaps is about {sliding.error:.0e}. "
-            failure += ADVICE
+            failure = f"In {number} forces or gaps have an error of {sliding.error:.0e}. {ADVICE}"
             break
         try:
             sliding.pair_next_configuration()

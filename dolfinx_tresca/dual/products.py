@@ -59,7 +59,7 @@ class SurfaceCompliance:
     share S; degrees of freedom on which contact acts for the first time get new columns.
 
     Attributes:
-        body: (owned degrees of freedom,) number of the body of each degree of freedom.
+        body, bodies: (owned degrees of freedom,) the number of each one's body; of bodies in all.
         dofs: (s,) the global numbers of the degrees of freedom, ascending; on every rank.
         matrix: (s, s) S, sparse; on every rank.
     """
@@ -68,6 +68,7 @@ class SurfaceCompliance:
         """Begin without degrees of freedom. Collective."""
         nodes, block = system.V.dofmap.index_map, system.V.dofmap.index_map_bs
         self.body = np.repeat(label_bodies(system.V)[: nodes.size_local], block)
+        self.bodies = 1.0 + float(largest_abs(system.comm, self.body)[0])
         self._comm, self._moves = system.comm, system.moves
         self._range, self.dofs = block * np.array(nodes.local_range), self.body[:0]
         self.matrix = csr_array((0, 0))
@@ -290,11 +291,11 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
 
 
 #: With a direct solver, A is computed before the first iteration if it is sparse or has at most
-#: `MOST_AT_ONCE` rows, and if this takes at most `FEW` solves; if K has under `CHEAP` unknowns,
-#: as in the plane, in proportion more, up to `MOST_AT_ONCE`. (Without A, two strips in the plane
-#: with 802 rows, continued from a file, take six times the time; without the limit, a layer of 400
-#: cells that touches with all of its 441 lower nodes takes four.)
-FEW, CHEAP, MOST_AT_ONCE = 400, 10_000, 1000
+#: `MOST_AT_ONCE` rows, and if the solves for it read at most `ENTRIES_AT_ONCE` entries of the
+#: factors for each body, in a quarter to half of a second. (Without A, two strips in the plane with
+#: 802 rows, continued from a file, take six times the time; without the limit, a cylinder of
+#: 486,548 unknowns on a plane takes four, and two bricks of 24,576 take four.)
+ENTRIES_AT_ONCE, MOST_AT_ONCE = 3e8, 1000
 
 
 class ContactCompliance(PetscOwner):
@@ -383,10 +384,10 @@ class ContactCompliance(PetscOwner):
     def known_products(self) -> KnownProducts:
         """Return the known products with A, or A as a matrix (`WholeModel`). Collective.
 
-        The first call computes the matrix if this takes few solves with K (`FEW`).
+        The first call computes the matrix if this takes little time (`ENTRIES_AT_ONCE`).
         """
         if self._store is None:
-            jump, (n, unknowns) = self.jump, self.jump.matrix.getSize()
+            jump, n = self.jump, self.jump.matrix.getSize()[0]
             # in a mixed space, clamped nodes round the near field would fix its volume
             is_mixed = jump.system.component is not None
             near = None if is_mixed or n == 0 else (lambda x: self.near_field.apply(x))
@@ -394,8 +395,8 @@ class ContactCompliance(PetscOwner):
                 jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
             )
             if self.exact and n > 0:
-                few = min(FEW * max(1.0, CHEAP / unknowns), MOST_AT_ONCE)
-                self.complete_products(few, MOST_AT_ONCE)
+                bodies = 1.0 if self.surfaces is None else self.surfaces.bodies
+                self.complete_products(ENTRIES_AT_ONCE * bodies / self.solver.entries, MOST_AT_ONCE)
         return self._store
 
     def complete_products(self, solves: float = np.inf, most_rows: int = LARGEST_DENSE) -> bool:

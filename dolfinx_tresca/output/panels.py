@@ -289,17 +289,6 @@ def skin(grid: Any) -> Any:
     return pyvista.wrap(surface.GetOutput())
 
 
-def corner_grid(volume: Grid) -> Grid:
-    """Return a grid whose tetrahedra and hexahedra have no nodes but corners, to find edges in.
-
-    If two cells of degree 2 have the nodes of their common face in different orders, VTK takes the
-    face for an outer one of both, and then finds no edges of the bodies.
-    """
-    kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
-    cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
-    return replace(volume, cells=cells, cell_types=np.full(len(cells), kind))
-
-
 def draw_bodies(
     panel: Any, volume: Grid, contacts: Sequence[Contact], scale: float | None, length: str
 ) -> None:
@@ -315,8 +304,13 @@ def draw_bodies(
     limits = colour_range(bodies.point_data["|u|"])
     deformed = bodies.warp_by_vector(name, factor=scale)
     faces, lift = skin(deformed), 4e-3 * bodies.length * normal
+    # edges are those of cells that have no nodes but corners: if two cells of degree 2 have the
+    # nodes of their common face in different orders, VTK takes it for an outer face of both
+    kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
+    cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
+    corner_grid = replace(volume, cells=cells, cell_types=np.full(len(cells), kind))
     # orientations of cells may differ: no creases in 2D, oriented faces in 3D
-    surface = skin(corner_grid(volume).to_pyvista())
+    surface = skin(corner_grid.to_pyvista())
     surface = surface.clean() if flat else surface.compute_normals(split_vertices=False)
     kinds = {"feature_edges": not flat, "non_manifold_edges": False, "manifold_edges": False}
     outline = surface.extract_feature_edges(40.0, **kinds)

@@ -262,8 +262,7 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
 def _grid(model: Any, dim: int, entity: int, per_axis: int) -> Array:
     """Return the parameters (per_axis^dim, dim) of a grid of points on a surface or a curve."""
     low, high = model.getParametrizationBounds(dim, entity)
-    axes = np.linspace(low, high, per_axis).T
-    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, dim)
+    return np.stack(np.meshgrid(*np.linspace(low, high, per_axis).T), axis=-1).reshape(-1, dim)
 
 
 def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:

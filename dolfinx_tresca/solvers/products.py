@@ -293,8 +293,7 @@ class ProductStore:
         new, product = self.split(x)
         inner = self._reductions.inner
         error = np.linalg.norm(self.errors * inner(self.Y, x))
-        energy = float(inner(new, self.diagonal * new))
-        return product, float(np.hypot(error, np.sqrt(energy)))
+        return product, float(np.hypot(error, np.sqrt(inner(new, self.diagonal * new))))
 
     def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
         """Return a (pairs,), x - W a and A (x - W a); x - W a is A-orthogonal to W. Collective.

@@ -126,6 +126,13 @@ class StiffnessSolver(PetscOwner):
         """Whether solves are exact to rounding for any requested accuracy, as with factors."""
         return self._ksp is None or self._ksp.getType() == PETSc.KSP.Type.PREONLY
 
+    @property
+    def entries(self) -> float:
+        """Number of entries that a direct solve reads: those of the factors, or at least of K."""
+        pc, K = self.preconditioner, self.matrix
+        factors = pc.getFactorMatrix() if pc.getType() in ("lu", "cholesky") else K
+        return max(float(matrix.getInfo()["nz_used"]) for matrix in (K, factors))
+
     def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
         """Solve K U = F for the columns of dense matrices, all at once. Collective."""
         for matrix in (F, U):

@@ -101,9 +101,8 @@ LEAST = {"cholesky": 0.0, "multigrid": 0.4}
 @pytest.mark.parametrize("stiffness", LEAST)
 def test_it_is_less_than_A_and_symmetric(comm, stiffness, monkeypatch):
     """It has most of the energy of rough tractions, with multigrid of a pressure, too."""
-    monkeypatch.setattr(
-        "dolfinx_tresca.dual.products.MOST_UNKNOWNS", 250
-    )  # a level of such a mesh, not K
+    # a level of such a mesh, not K
+    monkeypatch.setattr("dolfinx_tresca.dual.products.MOST_UNKNOWNS", 250)
     with dual_program(two_bricks(comm, 8), stiffness) as dual:
         pressure = np.zeros_like(dual.b)
         pressure[dual.admissible.normal] = 1.0

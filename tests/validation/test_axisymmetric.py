@@ -305,8 +305,7 @@ def force_of_a_ball():
 
 
 @pytest.mark.parametrize(
-    ("goal", "accuracy"),
-    [(None, 0.02), (ContactForce((0, 1)), 2e-3), (PATCH, 2e-3)],
+    ("goal", "accuracy"), [(None, 0.02), (ContactForce((0, 1)), 2e-3), (PATCH, 2e-3)]
 )
 def test_adaptive_meshes(force_of_a_ball, goal, accuracy):
     """Meshes that are refined for the energy or for a number have the number of a fine mesh."""
