@@ -170,12 +170,12 @@ def test_pairs_between_parts_are_one_pair(comm, kind, law, sides):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize("sliding", ["small", "finite"])
-def test_load_steps_goals_and_files(comm, folder, sliding):
+@pytest.mark.parametrize(("sliding", "degree"), [("small", 1), ("finite", 1), ("finite", 2)])
+def test_load_steps_goals_and_files(comm, folder, sliding, degree):
     """Load steps, restarts and derivatives are those of uncut surfaces."""
     found = []
     for name in ("whole", "parts"):
-        scene = pushed(comm, "quadrilateral")
+        scene = pushed(comm, "quadrilateral", degree)
         coefficient = fem.Constant(scene.mesh, 0.3)
         scene = scene.but(friction=Coulomb(coefficient), sliding=sliding)
         pairs = scene.pairs if name == "whole" else facing(scene, split(scene))
