@@ -51,10 +51,9 @@ def ball():
 def under(comm, tool, n=(4, 4, 3), *, friction=None, **arguments):
     """Return a block that stands on a clamped face, below a tool."""
     law = Coulomb(FRICTION) if friction is None else friction
-    scene = block(
+    return block(
         comm, n, load=(0, 0, 0), held=(BELOW,), obstacles=[(ABOVE, tool)], friction=law, **arguments
     )
-    return scene
 
 
 def largest(comm, values):
@@ -280,9 +279,10 @@ def test_a_tool_that_sinks_into_held_nodes_is_warned_of(comm, caplog):
     scene = under(comm, tool, (3, 3, 3), friction=Frictionless())
     normal = scene.V.sub(2)
     at_left = fem.locate_dofs_topological(normal, 2, scene.facet_tags.find(LEFT))
-    bcs = [*scene.bcs, fem.dirichletbc(0.0, at_left, normal)]
-    with scene.problem(bcs=bcs) as problem:
-        solution = problem.solve(rtol=RTOL)
-        depth = -solution.surface.obstacle.motion.translation[2]
+    with scene.problem(bcs=[*scene.bcs, fem.dirichletbc(0.0, at_left, normal)]) as problem:
+        surface = problem.solve(rtol=RTOL).surface
+        depth = -surface.obstacle.motion.translation[2]
+        held = (surface.points[:, 0] < 1e-9) & (surface.state.x.array >= 0)
+        assert surface.gap.x.array[held] == pytest.approx(-depth, rel=ACCURACY)
     assert depth > 0.0
     assert (f"overlaps by up to {depth:.3g}, at (" in logged(caplog)) == (comm.rank == 0)
