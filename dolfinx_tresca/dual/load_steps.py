@@ -209,15 +209,13 @@ class SlipHistory:
         sticking nodes, since residuals of the iteration would add up over the steps. For each pair,
         steps (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
         """
-        slipped = []
-        for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):
-            after = before.copy()
-            after[pair.nodes] = before[pair.nodes] + step
-            slipped.append(after)
+        slipped = tuple(before.copy() for before in self.slipped)
+        for after, step, pair in zip(slipped, steps, jump.pairs, strict=True):
+            after[pair.nodes] += step
         return replace(
             self,
             origin=self.origin + slip,
-            slipped=tuple(slipped),
+            slipped=slipped,
             dissipation=self.dissipation + dissipation,
             begun=True,
         )

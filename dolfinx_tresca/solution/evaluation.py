@@ -348,6 +348,9 @@ def node_values(
     slips_before = zip(B.pairs, dual.history.slipped, strict=True)
     before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
     path = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
+    for pair, own in zip(B.pairs, B.nodes, strict=True):  # on edges the longest of all patches
+        start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)[1:]
+        path[own] = np.maximum.reduceat(path[own], start)[row]
     # in the order of `NodeCounts`, without bonded nodes
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
@@ -371,8 +374,7 @@ def _near_another_state(B: JumpOperator, section: FeasibleSet, x: Array, limit: 
     has_circle = np.isfinite(section.radius) & (section.radius > 0.0)
     radius = np.where(has_circle, section.radius, 0.0)
     result: Mask = has_circle & (np.abs(section.norms(x) - radius) * scale <= limit)
-    normal = np.flatnonzero(~B.is_tangential)
-    result[B.row_nodes[normal]] |= np.abs(x * B.stress_scale)[normal] <= limit
+    result[B.row_nodes[~B.is_tangential]] |= (np.abs(x * B.stress_scale) <= limit)[~B.is_tangential]
     return result
 
 

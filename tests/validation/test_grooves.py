@@ -11,7 +11,7 @@ from rotations import rotation
 import ufl
 from dolfinx import fem
 
-from dolfinx_tresca import ContactPair, ContactProblem, Frictionless, RigidObstacle, Tresca
+from dolfinx_tresca import ContactPair, ContactProblem, Coulomb, Frictionless, RigidObstacle, Tresca
 from scenes.boxes import Body, boxes, near
 from scenes.elasticity import elasticity
 from scenes.patches import KINDS, dim_of
@@ -28,8 +28,7 @@ LOADED, GROOVE = (3, 4), 5
 def angle(x: np.ndarray) -> np.ndarray:
     """An L of three by three cells of half the size, its inner corner in the origin."""
     result = 1.5 * x
-    result[:, 0] -= 0.5
-    result[:, -1] -= 0.5
+    result[:, [0, -1]] -= 0.5
     if x.shape[1] == 3:
         result[:, 1] = x[:, 1]
     return result
@@ -119,3 +118,20 @@ def test_an_edge_that_is_prescribed_along_one_normal_is_pressed(comm, caplog):
             forces.append(problem.solve(rtol=RTOL).pair_resultants[0].force)
     assert forces[0] == pytest.approx(-forces[1], rel=TOLERANCE)
     assert "overlaps" not in caplog.text
+
+
+def test_paths_of_nodes_whose_larger_patch_is_open(comm):
+    """A block one cell wide slides on the bottom of a slot, whose walls its higher sides face."""
+    slot = Body((3, 3), [(0.0, 1.0)] * 2, move=lambda x: x * [3.6, 3.0] - [1.3, 1.0],
+                keep=lambda x: (np.abs(x[:, 0] - 0.5) > 0.2) | (x[:, 1] < 0.3))  # fmt: skip
+    both = boxes(comm, "quadrilateral", [slot, Body((1, 1), [(0.0, 1.0), (0.0, 1.5)])])
+    ends, push = both.tags((3, [0], near(1, 0.0)), (4, [1], near(1, 1.5))), fem.Function(both.V)
+    dofs = [fem.locate_dofs_topological(both.V, 1, ends.find(tag)) for tag in (3, 4)]
+    bcs = [fem.dirichletbc(np.zeros(2), dofs[0], both.V), fem.dirichletbc(push, dofs[1])]
+    pair = ContactPair(both.tags((1, [1], None), (2, [0], None)), 1, 2, Coulomb(0.1))
+    with ContactProblem(elasticity(both.V, 1000.0, 0.0), None, [pair], bcs) as problem:
+        for step in (1, 2):
+            push.x.array.reshape(-1, 2)[:] = 0.01 * step, -0.001
+            solution = problem.solve()
+            problem.accept()
+    assert solution.greatest_total_slip > 1.9 * solution.greatest_slip > 0.018
