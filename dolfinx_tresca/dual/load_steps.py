@@ -72,7 +72,7 @@ def displaced_jump(
                         about=str(pair),
                     )
                 if straight_u is not values:
-                    paired_at.x.array[:] = _bent_primary(V, straight_u, values, pair, new).ravel()
+                    paired_at.x.array[:] = _bent_primary(V, straight_u, values, new).ravel()
                     closings = jump.closings(paired_at)
                 # the heights of curved edges in the previous B; 0 at new nodes
                 raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
@@ -82,16 +82,14 @@ def displaced_jump(
     return jump
 
 
-def _bent_primary(
-    V: Any, straight_u: Array, u: Array, pair: ContactPair, operators: PairOperators
-) -> Array:
+def _bent_primary(V: Any, straight_u: Array, u: Array, operators: PairOperators) -> Array:
     """Return the displacement (nodes, dim of space) of which N u is part of the gap. Collective.
 
-    On primary nodes this is `u`. Elsewhere it is `straight_u`, in which nodes between vertices have
-    the mean of the vertices. It is `straight_u` everywhere for obstacles, and if the exact surface
-    of a side is known, whose height over the facets is kept. Both are (nodes, dim) [length].
+    On primary nodes of the group this is `u`. Elsewhere it is `straight_u`, with the mean of the
+    vertices at nodes between them. It is `straight_u` everywhere for obstacles, and if the exact
+    surface of a side is known, whose height over facets is kept. Both are (nodes, dim) [length].
     """
-    sides = operators.undeformed.sides
+    pair, sides = operators.undeformed.group.surfaces, operators.undeformed.sides
     if any(side.has_exact_surface for side in sides) or pair.obstacle is not None:
         return straight_u
     if pair.touches_itself:
@@ -211,15 +209,13 @@ class SlipHistory:
         sticking nodes, since residuals of the iteration would add up over the steps. For each pair,
         steps (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
         """
-        slipped = []
-        for before, step, pair in zip(self.slipped, steps, jump.pairs, strict=True):
-            after = before.copy()
-            after[pair.nodes] = before[pair.nodes] + step
-            slipped.append(after)
+        slipped = tuple(before.copy() for before in self.slipped)
+        for after, step, pair in zip(slipped, steps, jump.pairs, strict=True):
+            after[pair.nodes] += step
         return replace(
             self,
             origin=self.origin + slip,
-            slipped=tuple(slipped),
+            slipped=slipped,
             dissipation=self.dissipation + dissipation,
             begun=True,
         )

@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, dense, dots, scaled_rows
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, dense, dots, in_space, scaled_rows
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca.errors import MechanismError
@@ -73,6 +73,11 @@ class FreeMotion(NamedTuple):
     point: Array
     force: float
 
+    def displacement(self, places: Array) -> Array:
+        """Return the displacement (n, d) of the tool at places (n, d), for the amount 1."""
+        moved = self.direction[:3] + np.cross(self.direction[3:], in_space(places) - self.point)
+        return np.asarray(moved[:, : places.shape[1]])
+
 
 @dataclass(frozen=True)
 class Tools:
@@ -100,14 +105,10 @@ class Tools:
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
             for rows in (by_pair[number] for number in motion.pairs):
-                pair, dim = rows.operators, rows.operators.normals.shape[1]
-                arm = np.zeros((len(pair.places), 3)) - motion.point
-                arm[:, :dim] += pair.places
-                displacement = motion.direction[:3] + np.cross(motion.direction[3:], arm)
-                weighted = displacement[:, :dim] * pair.weights[:, None]
-                i, j = pair.normal_node, pair.tangent_node
-                column[rows.normal] -= dots(weighted[i], pair.normals[i])
-                column[rows.tangential] -= dots(weighted[j], pair.tangents)
+                pair = rows.operators
+                weighted = motion.displacement(pair.places) * pair.weights[:, None]
+                column[rows.normal] -= dots(weighted, pair.normals)[pair.normal_node]
+                column[rows.tangential] -= dots(weighted[pair.tangent_node], pair.tangents)
         return cls(motions, bodies, csr_array(stress_scale[:, None] * G))
 
     def places(self, c: Array, before: Array) -> Array:
@@ -118,7 +119,6 @@ class Tools:
         result, steps = before.copy(), np.zeros((len(before), 6))  # as `FreeMotion.direction`
         for motion, amount in zip(self.motions, c, strict=True):
             steps[motion.pairs] += amount * motion.direction
-        for motion in self.motions:
             for pair in motion.pairs:
                 step = RigidMotion.about(motion.point, steps[pair, 3:], steps[pair, :3])
                 result[pair] = step.after(RigidMotion.from_matrix(before[pair])).matrix
@@ -248,7 +248,7 @@ class FloatingBodies:
                 the message names the body and its motion, and the error's `motion` has the
                 displacements (owned degrees of freedom,) of all bodies.
         """
-        bodies, tool_motions = self._body_of_motion, self.tool_motions
+        bodies, tools = self._body_of_motion, slice(len(self.modes), None)
         # `carrying`: jumps in the rows whose multipliers Lambda lets act; `length`: their norms
         carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
         carrying = scaled_rows(self.jumps, carries.astype(np.float64))
@@ -263,10 +263,8 @@ class FloatingBodies:
         factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
         by_factor = diags_array(factors, format="csr")
         resultants, terms = self.resultants(load)
-        if tool_motions:
-            given = np.array([motion.force for motion in tool_motions])
-            resultants[-len(given) :] = given
-            terms[-len(given) :] = np.abs(given)
+        resultants[tools] = [motion.force for motion in self.tool_motions]
+        terms[tools] = np.abs(resultants[tools])
         own_terms = np.where(length > 0.0, factors * terms, 0.0)
         # bodies that touch the same nodes pass their loads on: they belong to one group
         of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
@@ -283,10 +281,8 @@ class FloatingBodies:
     @property
     def _body_of_motion(self) -> Indices:
         """The body (k,) of each mode; motions of a tool have a number above those of bodies."""
-        if not self.tool_motions:
-            return self.modes.body
-        owners = [self.modes.bodies.count + motion.pairs[0] for motion in self.tool_motions]
-        return np.append(self.modes.body, owners)
+        pairs = np.array([motion.pairs[0] for motion in self.tool_motions], dtype=np.intp)
+        return np.append(self.modes.body, self.modes.bodies.count + pairs)
 
     def _check_resisted(
         self, gram: csr_array, length: Array, largest: Array, reductions: Reductions

@@ -30,9 +30,10 @@ class PairOperators:
     """The jump operators of one pair at the contact nodes that this rank owns.
 
     N u and T u are jumps of the displacement [length], secondary minus primary; d is the dimension
-    of space. A node whose displacement is prescribed along its normal has no row of N. If it is
-    prescribed along a tangent, its row of T stays, and friction acts on the primary body alone;
-    but there is no row for an obstacle, for `Bonded`, or if an opposite primary node is prescribed.
+    of space. A node whose displacement is prescribed along its normal has no row of N. Its row of T
+    stays if it is prescribed along a tangent, as do rows of N on an edge with several patches that
+    face the same place; they act on the primary body alone. There are none for an obstacle, for
+    `Bonded`, or if an opposite primary node is prescribed.
 
     Attributes:
         bonded: whether the jumps are constrained to zero and multipliers have any sign.

@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask
+from dolfinx_tresca._base.arrays import Array, Mask, dots
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
@@ -148,17 +148,22 @@ def evaluate(
 
     # `increment`: slip of the step in rows of T, minus the gap in rows of N; `closing`: by how much
     # gaps have closed at nodes; both include the motion of tools, which moves primary sides, not u
-    jump, by_tools = B.of_unknowns(solved), dual.jump_of_tools(c)
-    normal = np.flatnonzero(~B.is_tangential)
+    by_tools, pairs = dual.jump_of_tools(c), B.by_pair
+    increment = B.of_unknowns(solved) + by_tools - dual.offset
     closing = np.concatenate(B.closings(u))
-    closing[B.row_nodes[normal]] += (by_tools * B.length_scale)[normal]
-    increment = jump + by_tools - dual.offset
+    if dual.equilibrium is not None:
+        areas = np.concatenate([pair.weights for pair in B.pairs])
+        amounts = (dual.equilibrium.factors * c)[dual.of_tools]
+        for motion, amount in zip(dual.equilibrium.bodies.tool_motions, amounts, strict=True):
+            for operators, nodes in ((pairs[k].operators, pairs[k].nodes) for k in motion.pairs):
+                opening = dots(motion.displacement(operators.places), operators.normals)
+                closing[nodes] -= amount * opening * operators.weights / areas[nodes]
     states, steps, before, slip, nodal_results = node_values(dual, solution, r, increment)
     pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
     dissipation = float(dual.inner(x, slip))
 
     # fields, openings and nodal forces of each pair, in physical units
-    stress, moved, pairs = x * B.stress_scale, increment * B.length_scale, B.by_pair
+    stress, moved = x * B.stress_scale, increment * B.length_scale
     fields: list[SurfaceFields] = []
     openings: list[float] = []
     forces: list[Array] = []
@@ -190,7 +195,7 @@ def evaluate(
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
-    at_pressed = np.maximum(stress[normal], 0.0), lengths[pressed], paths[pressed]
+    at_pressed = np.maximum(stress[~B.is_tangential], 0.0), lengths[pressed], paths[pressed]
     peak_pressure, greatest_slip, greatest_total_slip = largest_abs(comm, *at_pressed)
     primal, dual_energy = dual.energies(x, solved, c, error)
     if B.frames is not None:  # the work of loads on the rigid motions of the frames
@@ -343,6 +348,9 @@ def node_values(
     slips_before = zip(B.pairs, dual.history.slipped, strict=True)
     before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
     path = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
+    for pair, own in zip(B.pairs, B.nodes, strict=True):  # on edges the longest of all patches
+        start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)[1:]
+        path[own] = np.maximum.reduceat(path[own], start)[row]
     # in the order of `NodeCounts`, without bonded nodes
     kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
     *counts, doubtful = kinds.sum(axis=1)
@@ -366,8 +374,7 @@ def _near_another_state(B: JumpOperator, section: FeasibleSet, x: Array, limit: 
     has_circle = np.isfinite(section.radius) & (section.radius > 0.0)
     radius = np.where(has_circle, section.radius, 0.0)
     result: Mask = has_circle & (np.abs(section.norms(x) - radius) * scale <= limit)
-    normal = np.flatnonzero(~B.is_tangential)
-    result[B.row_nodes[normal]] |= np.abs(x * B.stress_scale)[normal] <= limit
+    result[B.row_nodes[~B.is_tangential]] |= (np.abs(x * B.stress_scale) <= limit)[~B.is_tangential]
     return result
 
 

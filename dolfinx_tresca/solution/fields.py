@@ -81,8 +81,8 @@ class SurfaceFields:
         slip_increment: slip since the last accepted step, T u - s [length], a vector along the
             traction; before the first accepted step it is `slip` itself. None without friction.
         slip_path: length of a node's path over the other side [length]: the sum of its slip lengths
-            over all steps in which it was pressed or had a positive slip bound. None without
-            friction.
+            over all steps in which it was pressed or had a positive slip bound; on sharp edges the
+            longest slip of its patches counts. None without friction.
         gap: distance d - N u [length], positive: open. Negative where Dirichlet conditions, which
             prescribe the displacement along the normal, push a node into the other side.
         initial_gap: distance d before the bodies move [length], positive: open.

@@ -258,7 +258,7 @@ def hint_at_overlap(
         if pair.obstacle is not None and surface.obstacle is not None:
             carried = _carried(operators.places, pair.obstacle.motion, surface.obstacle.motion)
             closing -= dots(carried, operators.normals)
-        depth = np.where(operators.prescribed, closing - operators.gap, 0.0)
+        depth = (closing - operators.gap) * (operators.prescribed & ~operators.has_normal_row)
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
             continue
