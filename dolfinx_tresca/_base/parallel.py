@@ -70,12 +70,12 @@ def log(
     """
     if comm.rank > 0:
         return
-    if level >= logging.WARNING:
-        RECENT_WARNINGS.append(message % args)
     if _logged_warnings and level == logging.WARNING:
         if (message, about) in _logged_warnings[-1]:
             return
         _logged_warnings[-1].add((message, about))
+    if level >= logging.WARNING:
+        RECENT_WARNINGS.append(message % args)
     if _logger.isEnabledFor(level):
         _logger.log(level, "%s", fill(message % args))
 

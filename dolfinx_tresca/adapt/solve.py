@@ -123,8 +123,9 @@ class AdaptiveSolution(Tabulated):
             )
 
     def _rows(self) -> list[Row]:
-        goal = self.goal_error
-        measured = "solution's norm" if goal is None else f"number, {goal.value:.6g}"
+        goal, measured = self.goal_error, "solution's norm"
+        if goal is not None and self.error == goal.relative_error:  # else see `Level.error`
+            measured = f"number, {goal.value:.6g}"
         rows = [
             ("status", f"{self.status.name}: {self.status.value}"),
             ("mesh error", f"about {self.error:.1e} of the {measured}"),
@@ -359,9 +360,8 @@ def solve_adaptively(
                 else:
                     tagged_mesh = finer
             if status not in (None, AdaptiveStatus.FAILED) and level.solution.options != options:
-                solution = problem.solve()
-                products = level.products + solution.products
-                level = replace(level, solution=solution, products=products)
+                final = problem.solve()
+                level = replace(level, solution=final, products=level.products + final.products)
         seconds = comm.allreduce(time.perf_counter() - start, op=MPI.MAX)
         levels.append(replace(level, seconds=seconds))
         if status is not None:

@@ -362,9 +362,11 @@ class ContactCompliance(PetscOwner):
         """Return this rank's rows (rows, count) of B K^-1 B'E, of A or of S. Collective.
 
         For each row of B on this rank, E has a 1 in the column `column` (rows,); -1: in none. Each
-        column is a product. Blocks of columns are solved together, which with a direct solver costs
-        far less than single products. For A, B is the jump operator; for S, B has unit rows.
+        column is a product. A direct solver solves blocks of columns together, which costs far less
+        than single products. For A, B is the jump operator; for S (if `exact`), it has unit rows.
         """
+        if not self.exact:  # of iterations for a block, PETSc tells neither number nor failures
+            return np.column_stack([self.apply(1.0 * (column == k)) for k in range(count)])
         prescribed, result = self.jump.system.prescribed, np.empty((len(column), count))
         for start in range(0, count, BLOCK):
             block = np.arange(start, min(start + BLOCK, count))

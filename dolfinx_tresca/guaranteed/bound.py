@@ -26,7 +26,6 @@ from dolfinx_tresca.stiffness.system import LinearSystem
 
 #: Force missing on a cell, relative to the largest force on a facet, that still counts as rounding.
 IMBALANCE = 1e-7
-
 #: Least relative decrease of the bound by a step of conjugate gradients: after a smaller one they
 #: end. With half of it the bound is 2 % smaller, for up to one and a half times as many steps.
 GAIN = 0.02
@@ -129,13 +128,11 @@ class Bodies:
 
     def response(self, dual: DualProgram, forces: fem.Function, rtol: float) -> fem.Function:
         """Return the displacement that nodal forces alone cause, by a solve with K. Collective."""
-        result, free = zero_like(forces, "response"), forces.copy()
+        w, free = zero_like(forces, "response"), forces.copy()
         owned_values(free)[self.linear.prescribed.reshape(-1, self.cells.d)] = 0.0
-        dual.compliance.solver.improve(
-            free.x.petsc_vec, result.x.petsc_vec, rtol=rtol, accuracy=0.0
-        )
-        result.x.scatter_forward()
-        return result
+        dual.compliance.solver.improve(free.x.petsc_vec, w.x.petsc_vec, rtol=rtol, accuracy=0.0)
+        w.x.scatter_forward()
+        return w
 
     def candidate(
         self, dual: DualProgram, multipliers: Array, u: fem.Function, load: Array
@@ -288,12 +285,11 @@ class Functional:
         if is_force:
             pairs = dual.jump.by_pair
             operators = pairs[checked_goal(goal, len(pairs), bodies.cells.d).pair].operators
-            self.w = fem.Function(bodies.V)
+            self.w, forces = fem.Function(bodies.V), linear.assemble_forces()
             direction = -operators.normals if isinstance(goal, NormalForce) else goal.direction
             self.w.x.array.reshape(-1, bodies.cells.d)[operators.nodes] = direction
             self.w.x.array[: len(linear.prescribed)][linear.prescribed] = 0.0
             self.w.x.scatter_forward()
-            forces = linear.assemble_forces()
             self.constant = float(forces.x.petsc_vec.dot(self.w.x.petsc_vec))
             self.form = ufl.replace(linear.ufl_forms[0], {trial: self.w})
         elif [argument.ufl_function_space() for argument in arguments] == [bodies.V]:
@@ -307,6 +303,8 @@ class Functional:
         self.derivative = assembled(self.form, bodies.V, linear.entity_maps)
         if not is_force:
             self.w = bodies.response(dual, self.derivative, rtol=0.1)
+        if dual.norm_of(self.w) == 0.0:
+            raise InputError("no free displacement changes the goal: check its tag and direction.")
         self._stress = bodies.loading_of(self.w) if is_force else 0.0
         L = None if is_force else self.form
         self.load, self._oscillation = loads(L, bodies.cells, bodies.factors, linear.entity_maps)
@@ -316,17 +314,20 @@ class Functional:
         return float(self.derivative.x.petsc_vec.dot(v.x.petsc_vec)) - self.constant
 
     def interval(
-        self, u: fem.Function, candidate_at: Callable[[float], Candidate], gain: float
+        self, u: fem.Function, size: float, candidate_at: Callable[[float], Candidate], gain: float
     ) -> GuaranteedGoal:
         """Return an interval that contains the value in the exact solution. Collective.
 
         Without oscillation, t J(u*) - t J(v) <= |s - s(v)|^2 / 4 + G, with s of the load L + t J
         and v of L - t J: an upper limit if t > 0, else a lower one. If t is small, errors divided
-        by t are large; if t is large, contact changes, and its defects G are large. `candidate_at`
-        gives the candidate of L + t J; if the goal is a force, its `loading` balances L alone.
+        by t are large; if t is large, contact changes, and its defects G are large. `size` is |u|
+        or, if u is zero, the bound of its error, which is zero if u is exact. `candidate_at` gives
+        the candidate of L + t J; if the goal is a force, its `loading` balances L alone.
         """
         bodies, limits = self._bodies, []
-        scale = self._dual.norm_of(u) / self._dual.norm_of(self.w)
+        if size == 0.0:
+            return GuaranteedGoal(*[self.value(u)] * 3)
+        scale = size / self._dual.norm_of(self.w)
         changes = [sign * multiple * scale for multiple in MULTIPLES for sign in (1.0, -1.0)]
         candidates = {t: candidate_at(t) for t in changes}
         for t, candidate in candidates.items():

@@ -262,11 +262,11 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
     bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
     rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
     for number, step in enumerate(solutions, start=1):
-        values = [step.normal_force, step.peak_pressure, step.total_dissipation]
-        values += [step.bolts[name].force for name in bolts]
+        values = step.normal_force, step.peak_pressure, step.total_dissipation
+        forces = [f"{step.bolts[name].force:.5g}" if name in step.bolts else "" for name in bolts]
         reactions = [step.reactions.get(name) for name in supports]
         texts = [figures(r.force, step.local_error) if r else "" for r in reactions]
-        rows.append([str(number), step.status.name, *(f"{x:.5g}" for x in values), *texts])
+        rows.append([str(number), step.status.name, *(f"{x:.5g}" for x in values), *forces, *texts])
     return rows
 
 

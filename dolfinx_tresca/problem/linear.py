@@ -336,7 +336,8 @@ class ContactProblem(ContactProcess):
         """
         bodies, solved, gain = self._checked_for_bounds(gain)
         contact, linear = self._contact, self._contact.linear
-        functional = bound.Functional(goal, bodies, solved.dual)
+        functional, u = bound.Functional(goal, bodies, solved.dual), solved.fields.u
+        size = solved.dual.norm_of(u) or self.guaranteed_error(gain=gain).error
         multiple, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
         load = multiple * functional.form if L is None else L + multiple * functional.form
         # the bounds are differences of these solves, divided by the multiple of the goal
@@ -351,15 +352,13 @@ class ContactProblem(ContactProcess):
             return bodies.candidate(loaded.dual, loaded.multipliers, loaded.fields.u, given)
 
         with contact.restored(), linear.loaded(load):
-            return functional.interval(solved.fields.u, candidate, gain)
+            return functional.interval(u, size, candidate, gain)
 
     def _checked_for_bounds(self, gain: Any) -> tuple[bound.Bodies, StepSolution, float]:
         """Return bodies, last solution and gain, all checked for guaranteed bounds. Collective."""
-        contact = self._contact
-        solved = self._solved_for("a guaranteed bound")
+        contact, solved = self._contact, self._solved_for("a guaranteed bound")
         contact.check_inputs("a guaranteed bound")
-        gain = checked_number("gain", gain, "(0, inf]")
-        state = contact.state
+        gain, state = checked_number("gain", gain, "(0, inf]"), contact.state
         displaced = any(w.x.array.any() for w in (state.geometry, state.configuration))
         if contact.slides_far or self.comm.allreduce(displaced, op=MPI.LOR):
             raise InputError(

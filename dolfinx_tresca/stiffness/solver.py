@@ -56,7 +56,7 @@ class StiffnessSolver(PetscOwner):
     Attributes:
         name: "cholesky" or "multigrid".
         solves: number of solved systems.
-        krylov_iterations: iterations of all solves except `solve_several`; 0 for a direct solver.
+        krylov_iterations: iterations of all solves; 0 for a direct solver.
     """
 
     def __init__(
@@ -76,8 +76,7 @@ class StiffnessSolver(PetscOwner):
         """
         self.name, self.comm = name, K.comm
         self.solves = self.krylov_iterations = 0
-        self._least_eigenvalue = 1.0
-        self._warned = self._measured = False
+        self._least_eigenvalue, self._warned, self._measured = 1.0, False, False
         prefix = f"dolfinx_tresca_{next(_numbers)}_" if prefix is None else prefix
         self._ksp: Any = PETSc.KSP().create(K.comm)
         self._ksp.setOptionsPrefix(prefix)
@@ -134,7 +133,7 @@ class StiffnessSolver(PetscOwner):
         return max(float(matrix.getInfo()["nz_used"]) for matrix in (K, factors))
 
     def solve_several(self, F: PETSc.Mat, U: PETSc.Mat) -> None:
-        """Solve K U = F for the columns of dense matrices, all at once. Collective."""
+        """Solve K U = F for the columns of dense matrices, with a direct solver. Collective."""
         for matrix in (F, U):
             matrix.assemble()
         self._ksp.matSolve(F, U)
@@ -172,8 +171,7 @@ class StiffnessSolver(PetscOwner):
         self.matrix.mult(u, Ku)
         square, work = float(u.dot(Ku)), float(u.dot(f))
         Ku.destroy()
-        factor = work / square if square > 0.0 else 0.0
-        factor = factor if np.isfinite(factor) else 0.0
+        factor = work / square if square > 0.0 and np.isfinite(work / square) else 0.0
         u.scale(factor)
         return factor != 0.0
 

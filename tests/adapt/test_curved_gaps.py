@@ -164,31 +164,31 @@ def test_bodies_that_touch_are_no_close_fit(comm, caplog):
     assert "ContactPair(geometry=...)" not in caplog.text
 
 
-def test_an_adaptive_run_warns_once(comm, caplog):
-    """Of each pair that fits closely, not on each mesh; the next run warns again."""
-    radii = (1.0, 2.0, 3.0)
-    bodies = [
-        Body((1, 3 + k), [(r, r + 1.0 + 1e-3), (0.0, 1.0)], move=quarter)
-        for k, r in enumerate(radii)
-    ]
+def test_an_adaptive_run_warns_once(comm, caplog, monkeypatch):
+    """Of each pair that fits closely, and of K, not on each mesh; the next run warns again."""
+    monkeypatch.setattr("dolfinx_tresca._base.parallel.RECENT_WARNINGS", warned := [])
+    radii, rough = (1, 2, 3), {"stiffness": "multigrid", "petsc_options": {"ksp_max_it": 2}}
+    bodies = [Body((1, 2 + r), [(r, r + 1.001), (0.0, 1.0)], move=quarter) for r in radii]
     rings = boxes(comm, "triangle", bodies)
     ends, inside, outside = 1, 10, 20
     marks = [(ends, [0, 1, 2], lambda x: abs(x[:, 1] - 0.5) > 0.5 - 1e-9)]
     for k, r in enumerate(radii):
         marks.append((inside + k, [k], lambda x, at=r: abs(x[:, 0] - at) < 1e-9))
-        marks.append((outside + k, [k], lambda x, at=r + 1.0 + 1e-3: abs(x[:, 0] - at) < 1e-9))
+        marks.append((outside + k, [k], lambda x, at=r + 1.001: abs(x[:, 0] - at) < 1e-9))
     first = TaggedMesh(rings.mesh, None, rings.tags(*marks), {})
 
     def build(tagged):
         V = fem.functionspace(tagged.mesh, ("Lagrange", 1, (2,)))
-        facets = tagged.facet_tags
-        pairs = [ContactPair(facets, inside + k, outside + k - 1, Frictionless()) for k in (1, 2)]
-        return ContactProblem(elasticity(V, 1.0), None, pairs, [fixed(V, facets.find(ends))])
+        tags = tagged.facet_tags
+        pairs = [ContactPair(tags, inside + k, outside + k - 1, Frictionless()) for k in (1, 2)]
+        return ContactProblem(elasticity(V, 1.0), None, pairs, [fixed(V, tags.find(ends))], **rough)
 
     for run in (1, 2):
         result = solve_adaptively(build, first, 1e-3, max_levels=3)
         assert len(result.levels) == 3
-        assert caplog.text.count("ContactPair(geometry=...)") == 2 * run * (comm.rank == 0)
+        for text in (caplog.text, "".join(warned)):
+            assert text.count("ContactPair(geometry=...)") == 2 * run * (comm.rank == 0)
+            assert text.count("the multigrid solver") == run * (comm.rank == 0)
 
 
 def quarter(x):

@@ -33,7 +33,7 @@ from dolfinx_tresca.guaranteed.cells import MeshCells
 from dolfinx_tresca.guaranteed.forms import loads
 from scenes.assembled import linear_solution
 from scenes.elasticity import elasticity, fixed
-from scenes.known_contact import block_on_plane
+from scenes.known_contact import HELD, block_on_plane
 from scenes.manufactured import blocks_scene, norm
 from scenes.two_bricks import two_bricks
 
@@ -192,12 +192,8 @@ def test_oscillating_loads(comm, load):
             return ufl.inner(direction, w) * ufl.dx(metadata={"quadrature_degree": 10})
         return top * ufl.inner(direction, w) * ufl.ds(metadata={"quadrature_degree": 10})
 
-    zero = fem.Function(scene.V)
-    dofs = scene.bcs[0].dof_indices()[0] // 2
-    bcs = [fem.dirichletbc(zero, np.unique(dofs).astype(np.int32))]
-    pair = scene.pair
-    pair = type(pair)(scene.facet_tags, pair.secondary, pair.primary, Frictionless(), gap=1.0)
-    with ContactProblem(scene.a, form(v), [pair], bcs=bcs) as problem:
+    bcs = [fixed(scene.V, scene.facet_tags.find(HELD))]
+    with scene.but(gap=1.0).problem(L=form(v), bcs=bcs) as problem:
         solution = problem.solve(rtol=1e-8)
         bound = problem.guaranteed_error()
     u, w = ufl.TrialFunction(fine), ufl.TestFunction(fine)

@@ -10,14 +10,14 @@ from dolfinx import fem
 
 from dolfinx_tresca import (
     ContactForce,
-    ContactPair,
-    ContactProblem,
     Coulomb,
+    GuaranteedGoal,
     InputError,
     MeanPressure,
     NormalForce,
 )
-from scenes.known_contact import block_on_plane
+from scenes.elasticity import fixed
+from scenes.known_contact import HELD, block_on_plane
 from scenes.manufactured import blocks_scene
 
 
@@ -62,10 +62,9 @@ def test_known_solutions_on_a_plane(comm, kind):
 
 def test_two_bodies(comm):
     scene = blocks_scene(comm, "triangle", 1, (8, 8))
-    v = ufl.TestFunction(scene.V)
     with scene.problem() as problem:
         problem.solve(rtol=1e-8)
-        bounds = problem.guaranteed_goal(v[1] * ufl.dx)
+        bounds = problem.guaranteed_goal(ufl.TestFunction(scene.V)[1] * ufl.dx)
         exact = value(comm, scene.data.exact[1] * ufl.dx)
         assert bounds.lower <= exact <= bounds.upper
         assert bounds.upper - bounds.lower <= 0.05 * abs(exact)
@@ -81,11 +80,12 @@ def test_goals_without_bounds(comm):
             problem.guaranteed_goal(scene.a)
         with pytest.raises(InputError, match="numbered from 0"):
             problem.guaranteed_goal(NormalForce(1))
-    pairs = [
-        ContactPair(scene.facet_tags, pair.secondary, pair.primary, Coulomb(0.1))
-        for pair in scene.pairs
-    ]
-    with ContactProblem(scene.a, scene.L, pairs, bcs=scene.bcs) as problem:
+        with pytest.raises(InputError, match="no free displacement changes the goal"):
+            problem.guaranteed_goal(ufl.TestFunction(scene.V)[0] * ufl.ds(99))
+    with scene.problem(L=None, bcs=[fixed(scene.V, scene.facet_tags.find(HELD))]) as problem:
+        problem.solve(rtol=1e-6)  # nothing loads the block
+        assert problem.guaranteed_goal(NormalForce()) == GuaranteedGoal(0.0, 0.0, 0.0)
+    with scene.but(friction=Coulomb(0.1)).problem() as problem:
         problem.solve(rtol=1e-6)
         with pytest.raises(InputError, match="do not depend on the pressure"):
             problem.guaranteed_goal(NormalForce())

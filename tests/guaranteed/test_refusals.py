@@ -26,8 +26,7 @@ from scenes.scene import Scene
 
 def refusal(scene: Scene, **changes: object) -> str:
     """Return the message with which the bound is refused."""
-    parts = {"a": scene.a, "L": scene.L, "pairs": scene.pairs, "bcs": scene.bcs} | changes
-    with ContactProblem(parts["a"], parts["L"], parts["pairs"], bcs=parts["bcs"]) as problem:
+    with scene.problem(**changes) as problem:
         problem.solve(rtol=1e-6)
         with pytest.raises(InputError) as caught:
             problem.guaranteed_error()

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from dolfinx_tresca import Coulomb, InputError, Preload, RigidPlane, Units
+from dolfinx_tresca import Coulomb, Frictionless, InputError, Preload, RigidPlane, Units
 from scenes.blocks import ABOVE, BELOW, block
 from scenes.patches import patch
 
@@ -85,9 +85,9 @@ def test_a_report_of_two_steps(comm, tmp_path, monkeypatch):
 
 def test_forces_between_bodies(comm, tmp_path):
     scene = patch(comm, "tetrahedron", friction=Preload(7.0))
-    solution = scene.problem(units=Units("mm", "MPa", "N")).solve()
+    before = scene.but(friction=Frictionless()).problem().solve()  # without a bolt
     path = comm.bcast(tmp_path) / "forces.html"
-    solution.report(path)
+    scene.problem(units=Units("mm", "MPa", "N")).solve().report(path, steps=[before])
     text = path.read_text()
     assert text.count("<circle") == 2 and text.count("<line") == 1
     assert re.search(r">7\.\d*\s?N<", text) and ">body 1<" in text and ">body 2<" in text
