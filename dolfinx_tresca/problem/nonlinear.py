@@ -292,7 +292,7 @@ class NonlinearContactProblem(ContactProcess):
         try:
             run.run()
         finally:
-            self._contact.end_load()
+            self._contact.end_load(run.fraction)
         self._contact.state = replace(self._contact.state, end=self.u.x.array.copy())
         released, snaps = balance.released(run.start) if run.fraction == 1.0 else (np.nan, False)
         self._warn_of_trouble(run, released, snaps)

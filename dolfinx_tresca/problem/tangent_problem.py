@@ -391,8 +391,13 @@ class TangentProblem(ContactSystem):
             obstacles.place(obstacles.between(*self._motions, fraction))
             self.pair_where_changed()
 
-    def end_load(self) -> None:
-        """Return rigid obstacles to the positions that the user gave. Not collective."""
+    def end_load(self, fraction: float) -> None:
+        """Return rigid obstacles to the positions that the user gave. Collective.
+
+        If no fraction was solved for, the next solve starts, as this one, where their motion does.
+        """
+        if fraction == 0.0:
+            self._place_obstacles(0.0)
         self.obstacles.place(self._motions[1])
 
     def residual_norm(self) -> float:

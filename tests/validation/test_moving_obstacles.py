@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    ContactStatus,
     Coulomb,
     InputError,
     NewtonOptions,
@@ -231,7 +232,7 @@ def test_motions_that_are_wrong(given, message):
 
 @pytest.mark.parallel
 def test_newton_moves_an_obstacle_in_parts(comm):
-    """Where Newton steps are too few the way of the obstacle is halved."""
+    """Where Newton steps are too few the way of the obstacle is halved, also after a failure."""
     forces, parts, released = [], [], []
     for newton in (NewtonOptions(), NewtonOptions(accuracy=ROUGH, max_iterations=1)):
         wheel = ball()
@@ -239,6 +240,8 @@ def test_newton_moves_an_obstacle_in_parts(comm):
         with problem:
             problem.solve().raise_if_failed()
             wheel.move_to((0.1, 0.05))
+            failed = problem.solve(newton=NewtonOptions(max_iterations=1, max_halvings=0))
+            assert failed.status is ContactStatus.NO_EQUILIBRIUM
             started = problem.solve(newton=newton)
             again = problem.solve().newton  # with the same load: nothing moves
             assert abs(again.released) <= ROUGH * started.dissipation and not again.snaps
