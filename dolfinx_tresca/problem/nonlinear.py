@@ -91,8 +91,8 @@ class NonlinearContactProblem(ContactProcess):
     Materials with a history, such as plastic ones, are described by two functions of the user.
     `before_assembly()` computes the stress and its tangent from the present u and the history, and
     stores them in Functions on which F and J depend; it is called for each new u, before anything
-    is assembled. `on_accept()` makes the state at u the history; only `accept()` calls it. So a
-    failed part of a load, or a trial solve, leaves the history unchanged.
+    is assembled, last for that at which a solve ends. `on_accept()` makes the state at u the
+    history; only `accept()` calls it: failed parts of a load, and trial solves, do not change it.
 
     For `pairs`, `options`, `units` and `destroy()` see `ContactProblem`.
 
@@ -301,6 +301,7 @@ class NonlinearContactProblem(ContactProcess):
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "
                 "at another one, such as zero."
             )
+        self._contact.tangent.update_material()  # parts that failed leave it elsewhere
         self._level, solution = run.level, run.solution
         status, message = solution.status, ""
         if run.fraction < 1.0:
