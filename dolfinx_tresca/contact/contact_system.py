@@ -465,7 +465,8 @@ class ContactSystem(PetscOwner):
         multipliers, products = dual_solution.multipliers, compliance.products - products_before
         results = status, dual, multipliers, evaluation, history, curves, load, laws
         solution = StepSolution(*results, obstacle_moves, motions)
-        self.state = replace(state, multipliers=multipliers, solution=solution, pending=True)
+        state = replace(state, multipliers=multipliers, dissipation=evaluation.dissipation)
+        self.state = replace(state, solution=solution, pending=True)
         text = "%s: %s after %d iterations, %d products, residual %.2e"
         numbers = dual_solution.iterations, products, dual_solution.residuals[-1]
         log(self.comm, text, options.method, status.value, *numbers)

@@ -95,6 +95,7 @@ class StepState:
         solution: the last solution, for goals and derivatives; None as soon as another solve has
             begun, or surfaces were paired anew.
         pending: whether the last solution can be accepted: there is one, and it is no step yet.
+        dissipation: work of friction from the accepted step to the last solve's end [energy].
     """
 
     jump: JumpOperator
@@ -109,6 +110,7 @@ class StepState:
     continues: bool = False
     solution: StepSolution | None = None
     pending: bool = False
+    dissipation: float = 0.0
 
     @classmethod
     def undeformed(cls, jump: JumpOperator, motions: Array) -> StepState:
@@ -128,7 +130,7 @@ class StepState:
         """Return the state after an accepted step; `accepted` are attributes of `AcceptedStep`."""
         present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
         step = replace(self.accepted, displacement=displacement, **(present | accepted))
-        after = replace(self, history=history, accepted=step, pending=False)
+        after = replace(self, history=history, accepted=step, pending=False, dissipation=0.0)
         return after.started_at(self.multipliers)
 
     def after_solution(self, solution: StepSolution) -> StepState:

@@ -143,7 +143,7 @@ class NewtonRecord:
         message: the failure, and advice; empty after a success.
         released: energy that is neither stored nor dissipated by friction between the displacement
             from which the solve started and the solution [energy]: the work of loads, prescribed
-            values and obstacles, minus the change of the stored energy, minus `dissipation`. Where
+            values and obstacles, minus the changes of the stored energy and of `dissipation`. Where
             bodies snap, it becomes motion and heat; in smooth steps it is small, of third order in
             the size of the step. NaN if it cannot be computed, or after a failure.
         snaps: whether most of the energy that the bodies exchange in this step is released: they
@@ -191,18 +191,17 @@ class EnergyBalance:
         1/2 (R_0 + R_1)'(u_1 - u_0) - integral of R'du + 1/2 (C_0 + C_1)'(u_1 - u_0 - v) - D
 
     with the contact forces C = B'lambda, the displacement v of obstacles at the nodes in the whole
-    solve, and the dissipation D. In a smooth step it is small, of third order in the step.
+    solve, and the dissipation D in it. In a smooth step it is small, of third order in the step.
     """
 
     def __init__(self, problem: TangentProblem) -> None:
         """Note u_0 and C_0, before the solve moves u or pairs surfaces anew. Collective."""
         state = problem.state
-        self._problem = problem
+        self._problem, self._start = problem, problem.u.x.array.copy()
         self._motions = state.motions, problem.obstacles.motions
-        self._start = problem.u.x.array.copy()
-        known_ends = [u for u in (state.end, state.accepted.unknowns) if u is not None]
-        ends = known_ends or [np.zeros_like(self._start)]  # zero before the first solve
-        self._begins_at_end = any(np.array_equal(self._start, end) for end in ends)
+        end = state.accepted.unknowns if state.end is None else state.end
+        end = np.zeros_like(self._start) if end is None else end  # zero before the first solve
+        self._begins_at_end, self._dissipation = np.array_equal(self._start, end), state.dissipation
         self._forces_at_start, self._work_at_start, _ = self._contact_work()
 
     def _contact_work(self) -> tuple[Array, float, float]:
@@ -212,10 +211,10 @@ class EnergyBalance:
         forces = np.array(problem.jump.whole_force(multipliers).array)
         return forces, float(multipliers @ jumps), largest
 
-    def released(self, start: Array, dissipation: float) -> tuple[float, bool]:
+    def released(self, start: Array) -> tuple[float, bool]:
         """Return the released energy up to the present u, and whether bodies snap. Collective.
 
-        The energy is NaN if `start`, where Newton's method began, is not where a solve ended; if
+        The energy is NaN if Newton's method began at a `start` where the last solve did not end; if
         internal forces are unknown; or if a user's function computes them and no body moves `FAR`.
         """
         problem, tangent = self._problem, self._problem.tangent
@@ -228,12 +227,13 @@ class EnergyBalance:
             problem.comm, owned[tangent.moves], owned[tangent.prescribed], driven, not starts_there
         )
         is_far = free > FAR * max(held, driven)
+        # a load that is solved for again moves bodies, too, by what the accuracies have left
+        is_far = is_far and problem.is_large(problem.energy_norm(change), problem.u.x.array)
         if elsewhere or (tangent.has_material and not is_far):
             return np.nan, False
         # R'(u_1 - u_0) at the points of Lobatto's rule: the ends, with the weights 1/12, and two
         # inner ones, with 5/12
-        powers = []
-        inner = 0.5 * np.sqrt(0.2)
+        powers, inner = [], 0.5 * np.sqrt(0.2)
         try:
             for fraction in (0.0, 1.0, 0.5 - inner, 0.5 + inner):
                 with replaced([problem.u], [problem.u.x.array - fraction * change]):
@@ -245,7 +245,7 @@ class EnergyBalance:
         contact = 0.5 * float((self._forces_at_start + forces) @ owned)
         local = [at_ends, stored, contact, 0.5 * (self._work_at_start + work)]
         at_ends, stored, contact, work = reduce_array(problem.comm, local)
-        released = at_ends - stored + contact - work - dissipation
+        released = at_ends - stored + contact - work - problem.state.dissipation + self._dissipation
         return released, bool(released > SNAP * max(abs(stored), abs(contact)) and is_far)
 
 
@@ -291,8 +291,7 @@ class Newton:
         """Apply the change of load in parts, halved after a failure, then doubled. Collective."""
         problem, increment = self.problem, 1.0
         while self.fraction < 1.0:
-            state = problem.state
-            fraction = min(1.0, self.fraction + increment)
+            state, fraction = problem.state, min(1.0, self.fraction + increment)
             try:
                 problem.apply_load(fraction)
                 self.failure = self._equilibrium()
@@ -322,8 +321,7 @@ class Newton:
         (nodes,) = reduce_array(self.problem.comm, [int((self._flips > 2.0).sum())])
         if nodes:
             text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
-        is_unstable = any(step.is_proximal for step in self.steps)
-        if is_unstable and "unstable" not in self.failure:
+        if "unstable" not in self.failure and any(step.is_proximal for step in self.steps):
             text += ", and the tangent is indefinite even with fixed contact: they are unstable"
             text += UNSTABLE_ELEMENTS
         return text
@@ -468,8 +466,7 @@ class Newton:
     def _step(self) -> ContactSolution:
         """Solve a contact problem with the least of `ADDED` that makes K definite. Collective."""
         # Springs that were needed once are kept; after a slow level, the level below is tried.
-        first_level = self.level if self.level < FIRST_SLOW else self.level - 1
-        for level in range(first_level, len(ADDED)):
+        for level in range(self.level - (self.level >= FIRST_SLOW), len(ADDED)):
             try:
                 self.level = level
                 self.problem.factor(*ADDED[level])

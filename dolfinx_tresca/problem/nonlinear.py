@@ -91,8 +91,8 @@ class NonlinearContactProblem(ContactProcess):
     Materials with a history, such as plastic ones, are described by two functions of the user.
     `before_assembly()` computes the stress and its tangent from the present u and the history, and
     stores them in Functions on which F and J depend; it is called for each new u, before anything
-    is assembled. `on_accept()` makes the state at u the history; only `accept()` calls it. So a
-    failed part of a load, or a trial solve, leaves the history unchanged.
+    is assembled, last for that at which a solve ends. `on_accept()` makes the state at u the
+    history; only `accept()` calls it: failed parts of a load, and trial solves, do not change it.
 
     For `pairs`, `options`, `units` and `destroy()` see `ContactProblem`.
 
@@ -187,11 +187,10 @@ class NonlinearContactProblem(ContactProcess):
                 "bodies take ContactProblem; if a function computes the stress from u, give it as "
                 "before_assembly, and give J with the tangent that it computes."
             )
-        argument_count = len(F.arguments())
-        if argument_count != 1:
+        if len(F.arguments()) != 1:
             raise InputError(
                 f"F must be the residual form, with a test function and no other argument, found "
-                f"{argument_count}: of an energy it is ufl.derivative(energy, u, v)."
+                f"{len(F.arguments())}: of an energy it is ufl.derivative(energy, u, v)."
             )
         super().__init__(pairs, SolverOptions(rtol=1e-6) if options is None else options, units)
         self.u, self.newton = u, NewtonOptions() if newton is None else newton
@@ -293,27 +292,24 @@ class NonlinearContactProblem(ContactProcess):
         try:
             run.run()
         finally:
-            self._contact.end_load()
-        state = self._contact.state
-        self._contact.state = replace(state, end=state.unknowns)
-        released, snaps = np.nan, False
-        if run.solution is not None and run.fraction == 1.0:
-            released, snaps = balance.released(run.start, run.solution.dissipation)
+            self._contact.end_load(run.fraction)
+        self._contact.state = replace(self._contact.state, end=self.u.x.array.copy())
+        released, snaps = balance.released(run.start) if run.fraction == 1.0 else (np.nan, False)
         self._warn_of_trouble(run, released, snaps)
         if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "
                 "at another one, such as zero."
             )
+        self._contact.tangent.update_material()  # parts that failed leave it elsewhere
         self._level, solution = run.level, run.solution
         status, message = solution.status, ""
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.state = self._contact.state.with_status(status)
             message = self._failure_message(run)
-        record = NewtonRecord(
-            tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
-        )
+        results = message, released, snaps, run.unbalanced, run.flips
+        record = NewtonRecord(tuple(run.steps), run.fraction, *results)
         values = vars(solution) | run.cost | {"status": status, "newton": record}
         return self._contact.checked(NonlinearContactSolution(**values))
 

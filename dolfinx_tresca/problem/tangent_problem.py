@@ -101,8 +101,7 @@ class TangentSystem(LinearSystem):
         """Compute the material's coefficients by `before_assembly`, once for each u. Collective."""
         if self._before_assembly is None:
             return
-        u = self.u.x.array
-        same = self._updated_at is not None and np.array_equal(u, self._updated_at)
+        same = self._updated_at is not None and np.array_equal(self.u.x.array, self._updated_at)
         if self.comm.allreduce(same, op=MPI.LAND):
             return
         self.u.x.scatter_forward()
@@ -248,12 +247,12 @@ class TangentProblem(ContactSystem):
         """
         if not self._has_history:
             return
-        w, is_converged = solution.fields.w, solution.status is ContactStatus.CONVERGED
+        w, is_converged = solution.fields.w.x.array, solution.status is ContactStatus.CONVERGED
         try:
-            with replaced([self.u], [w.x.array]):
+            with replaced([self.u], [w]):
                 self.tangent.forget_material()
-                scales = w.x.array, w.x.array - self._reference
-                if is_converged and self.is_large(self.residual_norm(), *scales):
+                self.tangent.update_material()
+                if is_converged and self.is_large(self.residual_norm(), w, w - self._reference):
                     raise ContactError(
                         "the history of the material, loads or coefficients of F have changed "
                         "since the solution that is to be accepted: call solve() again, and "
@@ -391,8 +390,13 @@ class TangentProblem(ContactSystem):
             obstacles.place(obstacles.between(*self._motions, fraction))
             self.pair_where_changed()
 
-    def end_load(self) -> None:
-        """Return rigid obstacles to the positions that the user gave. Not collective."""
+    def end_load(self, fraction: float) -> None:
+        """Return rigid obstacles to the positions that the user gave. Collective.
+
+        If no fraction was solved for, the next solve starts, as this one, where their motion does.
+        """
+        if fraction == 0.0:
+            self._place_obstacles(0.0)
         self.obstacles.place(self._motions[1])
 
     def residual_norm(self) -> float:

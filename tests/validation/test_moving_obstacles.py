@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca import (
+    ContactStatus,
     Coulomb,
     InputError,
     NewtonOptions,
@@ -36,7 +37,6 @@ ROUGH = 1e-2
 
 #: Coefficient of friction, overlap at the start, radius of balls.
 F, DOWN, RADIUS = 0.3, 0.05, 1.0
-
 
 #: Motion of the obstacle in the steps of a process, along it.
 STEPS = (0.02, 0.06, 0.03, -0.1)
@@ -96,9 +96,9 @@ def test_moved_obstacle_or_moved_body(comm, make, friction, sliding):
                 solution = problem.solve()
                 solution.raise_if_failed()
                 problem.accept()
-                (force,) = solution.pair_resultants
                 numbers = solution.total_dissipation, solution.greatest_slip
-                rows.append([*force.force, *numbers, solution.greatest_total_slip])
+                force = solution.pair_resultants[0].force
+                rows.append([*force, *numbers, solution.greatest_total_slip])
         results.append(np.array(rows))
     # forces at the right, and the dissipation, are relative to the greatest ones
     scale = np.abs(results[0]).max(axis=0)
@@ -185,23 +185,15 @@ def test_restart(comm, folder, sliding):
     """A file of the state has the place of the obstacle at the accepted step."""
     forces = []
     for restarts in (False, True):
-        obstacle = ball()
-        problem, _ = over(comm, obstacle, Coulomb(F), sliding)
-        with problem:
-            obstacle.move_to((0.05, 0.0))
-            problem.solve().raise_if_failed()
-            problem.accept()
-            if restarts:
-                problem.save_state(folder / "state.npz")
+        problem, _ = over(comm, obstacle := ball(), Coulomb(F), sliding)
+        obstacle.move_to((0.05, 0.0))
+        problem.solve().raise_if_failed()
+        problem.accept()
         if restarts:
-            obstacle = ball()
-            problem, _ = over(comm, obstacle, Coulomb(F), sliding)
-            problem.load_state(folder / "state.npz")
-        else:
+            problem.save_state(folder / "state.npz")
+            problem.destroy()
             problem, _ = over(comm, obstacle := ball(), Coulomb(F), sliding)
-            obstacle.move_to((0.05, 0.0))
-            problem.solve().raise_if_failed()
-            problem.accept()
+            problem.load_state(folder / "state.npz")
         with problem:
             obstacle.move_to((0.03, 0.0), rotation=0.01)
             solution = problem.solve()
@@ -240,13 +232,20 @@ def test_motions_that_are_wrong(given, message):
 
 @pytest.mark.parallel
 def test_newton_moves_an_obstacle_in_parts(comm):
-    """Where a step fails, here for want of Newton steps, the way of the obstacle is halved."""
-    forces, parts = [], []
+    """Where Newton steps are too few the way of the obstacle is halved, also after a failure."""
+    forces, parts, released = [], [], []
     for newton in (NewtonOptions(), NewtonOptions(accuracy=ROUGH, max_iterations=1)):
         wheel = ball()
         problem, _ = rubber_over(comm, wheel, "small")
         with problem:
             problem.solve().raise_if_failed()
+            wheel.move_to((0.1, 0.05))
+            failed = problem.solve(newton=NewtonOptions(max_iterations=1, max_halvings=0))
+            assert failed.status is ContactStatus.NO_EQUILIBRIUM
+            started = problem.solve(newton=newton)
+            again = problem.solve().newton  # with the same load: nothing moves
+            assert abs(again.released) <= ROUGH * started.dissipation and not again.snaps
+            released.append(started.newton.released)
             problem.accept()
             wheel.move_to((-0.2, 0.1))
             problem.solve().raise_if_failed()  # a trial
@@ -259,6 +258,7 @@ def test_newton_moves_an_obstacle_in_parts(comm):
         forces.append(solution.pair_resultants[0].force)
     assert parts[0] == 1 < parts[1]
     assert np.allclose(*forces, rtol=0.0, atol=ROUGH * np.linalg.norm(forces[0]))
+    assert released[0] == pytest.approx(released[1], abs=ROUGH * started.dissipation)
 
 
 @pytest.mark.parallel
