@@ -25,8 +25,7 @@ def file_named_in_errors(path: Path) -> Iterator[None]:
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield the path of a new file, which the block writes, and then move this file to `path`.
 
-    Nothing is moved after an exception: a run that fails keeps the file of an earlier run. Not
-    collective.
+    Nothing is moved after an exception: a run that fails keeps an earlier file. Not collective.
     """
     with file_named_in_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)

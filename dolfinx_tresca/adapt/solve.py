@@ -237,8 +237,7 @@ def refinement_indicators(problem: ContactProblem, cell_errors: fem.Function) ->
 #: Function of the user that returns the problem on a mesh. Called on all ranks.
 Build: TypeAlias = Callable[[TaggedMesh], ContactProblem]
 
-#: Function that every rank calls with each level; if it returns True on any rank, this level is the
-#: last one.
+#: Function that every rank calls with each level: the last one, if it returns True on any rank.
 LevelObserver: TypeAlias = Callable[[Level], "bool | None"]
 
 
