@@ -278,11 +278,11 @@ def solve_with_finite_sliding(
     sliding.pair_first_configuration()
     cost: dict[str, Any] = {}
     failure = ""
-    observed: list[Iteration] = []
+    observed: list[Iteration] = []  # the newest one only
 
     def in_configuration(iteration: Iteration) -> bool:
-        observed.append(replace(iteration, configuration=sliding.configurations))
-        return observe(observed[-1])
+        observed[:] = [replace(iteration, configuration=sliding.configurations)]
+        return observe(observed[0])
 
     while True:
         solution = contact.solve(options, units, in_configuration)
@@ -296,13 +296,13 @@ def solve_with_finite_sliding(
         sliding.observe(solution.u)
         if sliding.error <= options.geometry_accuracy:
             if observed:
-                observe(replace(observed[-1], ended=True))
+                observe(replace(observed[0], ended=True))
             break
         if sliding.configurations == MAX_CONFIGURATIONS:
             status = ContactStatus.MAX_ITERATIONS
             contact.state = contact.state.with_status(status)
             solution = replace(solution, status=status)
-            failure = f"In {number} forces or gaps have an error of {sliding.error:.0e}. {ADVICE}"
+            failure = f"In {number} forces or gaps are off by about {sliding.error:.0e}. {ADVICE}"
             break
         try:
             sliding.pair_next_configuration()

@@ -59,7 +59,7 @@ class SurfaceCompliance:
     share S; degrees of freedom on which contact acts for the first time get new columns.
 
     Attributes:
-        body, bodies: (owned degrees of freedom,) the number of each one's body; of bodies in all.
+        body: (owned degrees of freedom,) number of the body of each one; `bodies` counts bodies.
         dofs: (s,) the global numbers of the degrees of freedom, ascending; on every rank.
         matrix: (s, s) S, sparse; on every rank.
     """
@@ -292,9 +292,8 @@ def _near(jump: JumpOperator, layers: int) -> Mask:
 
 #: With a direct solver, A is computed before the first iteration if it is sparse or has at most
 #: `MOST_AT_ONCE` rows, and if the solves for it read at most `ENTRIES_AT_ONCE` entries of the
-#: factors for each body, in a quarter to half of a second. (Without A, two strips in the plane with
-#: 802 rows, continued from a file, take six times the time; without the limit, a cylinder of
-#: 486,548 unknowns on a plane takes four, and two bricks of 24,576 take four.)
+#: factors for each body, in a quarter to half of a second. (Without A, two strips with 802 rows,
+#: continued from a file, take six times the time; two bricks of 24,576 unknowns a quarter of it.)
 ENTRIES_AT_ONCE, MOST_AT_ONCE = 3e8, 1000
 
 
@@ -366,7 +365,8 @@ class ContactCompliance(PetscOwner):
         than single products. For A, B is the jump operator; for S (if `exact`), it has unit rows.
         """
         if not self.exact:  # of iterations for a block, PETSc tells neither number nor failures
-            return np.column_stack([self.apply(1.0 * (column == k)) for k in range(count)])
+            responses = [self.apply(1.0 * (column == k)) for k in range(count)]
+            return np.reshape(responses, (count, len(column))).T
         prescribed, result = self.jump.system.prescribed, np.empty((len(column), count))
         for start in range(0, count, BLOCK):
             block = np.arange(start, min(start + BLOCK, count))
