@@ -271,9 +271,10 @@ def solve_model(
     face. Hence D is itself approximated by D~, a low-rank model made of known products with D. Each
     iteration solves the problem for M with D~ in place of D. It then computes a product with D,
     which gives the residual for M and improves D~: one solve with a small matrix, none with K.
-    Products with D are kept as long as those with A. M counts as solved where the `residual` for M
-    is at most `FORCING` times the `tolerance`; iterations end there, or where Newton's method fails
-    (else rolling with friction takes four times the time), or after `SHORT_PATIENCE`.
+    Products with D are kept as long as those with A. Iterations end where the `residual` for M is at
+    most `FORCING` times the `tolerance`, where Newton's method fails (else rolling with friction
+    takes four times the time), or after `SHORT_PATIENCE`, from where a product with A helps, too.
+    The model counts as solved unless Newton's method has failed at the point that is returned.
     """
     store = problem.compliance.known_products()
     if not isinstance(store, ProductStore) or store.near is None:
@@ -291,8 +292,7 @@ def solve_model(
         change = store.apply_with_near(step) - G @ (end.c - point.c)
         end = replace(end, r=point.r + change)
         if (reached := residual.norm_at(end)) < least:
-            is_solved = end.is_solved and reached <= tolerance
-            best, least = replace(end, is_solved=is_solved), reached
+            best, least = end, reached
         if least <= tolerance or not end.is_solved:
             break
     # without a step, the diagonal is the base; a product with A then checks the step
