@@ -271,9 +271,9 @@ def solve_model(
     face. Hence D is itself approximated by D~, a low-rank model made of known products with D. Each
     iteration solves the problem for M with D~ in place of D. It then computes a product with D,
     which gives the residual for M and improves D~: one solve with a small matrix, none with K.
-    Products with D are kept as long as those with A. Iterations end where the `residual` for M is at
-    most `FORCING` times the `tolerance`, where Newton's method fails (else rolling with friction
-    takes four times the time), or after `SHORT_PATIENCE`, from where a product with A helps, too.
+    Products with D are kept as long as those with A. Iterations end where the `residual` for M is
+    at most `FORCING` times the `tolerance`, where Newton's method fails (else rolling with friction
+    takes four times the time), or after `SHORT_PATIENCE`, where a product with A helps as well.
     The model counts as solved unless Newton's method has failed at the point that is returned.
     """
     store = problem.compliance.known_products()

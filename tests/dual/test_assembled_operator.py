@@ -12,6 +12,7 @@ from dolfinx import fem
 
 from dolfinx_tresca import Coulomb
 from scenes.hertz import cylinder_on_plane
+from scenes.large_sliding import hemisphere
 from scenes.patches import patch
 from scenes.wall import HEIGHT, wall
 
@@ -47,6 +48,15 @@ def test_it_is_computed_at_once_only_where_that_is_cheap(comm, h, most):
 
 
 @pytest.mark.parallel
+def test_it_is_not_completed_where_only_the_near_field_is_slow(comm, monkeypatch):
+    """A hemisphere pressed into a block: fewer products than A has columns (39, before 952)."""
+    monkeypatch.setattr("dolfinx_tresca.dual.products.ENTRIES_AT_ONCE", 0.0)
+    body = hemisphere(comm, 6)
+    with body.problem:
+        assert [body.move(0.0, 0.0, -z) for z in (0.1, 0.2, 0.3)][-1].products < 160
+
+
+@pytest.mark.parallel
 def test_solutions_are_those_without_the_matrix(comm, refused):
     """The wall under its weight and pushed: the same displacement; a push takes no product."""
     with_matrix, products = pushed(comm)
@@ -71,8 +81,7 @@ def test_pairings_share_the_compliance(comm, refused, kind, degree, springs):
     K.assemble()
     with scene.problem() as problem:
         N = problem.operators[0].N
-        more = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-        K.axpy(springs, N.transposeMatMult(N), structure=more)
+        K.axpy(springs, N.transposeMatMult(N), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
 
     def forces() -> tuple[list[np.ndarray], int]:
         """Contact forces of each pairing, and the products of the last one."""
