@@ -240,9 +240,12 @@ class DualProgram:
         """Return the energy norm below which a displacement K^-1 (f - B'x) is rounding. Collective.
 
         Such a displacement is the small difference of K^-1 f and K^-1 B'x, which both have about
-        the norm of K^-1 f: contact carries all loads. The first call may need a solve with K.
+        the norm of K^-1 f: contact carries all loads. The result is NaN if the solver for K missed
+        the accuracy of K^-1 f, so that nothing is known. The first call may need a solve with K.
         """
         energy, _ = self._load_terms
+        if self.b_error > ROUGH * np.sqrt(energy):
+            return np.nan
         # rounding is relative to the energy, which is a difference of energies: hence the root
         return max(float(np.sqrt(ROUNDING * energy)), self.b_error)
 
