@@ -102,8 +102,7 @@ class SaddleLift(Lift):
                 incompressibility in K: the contact closes in a body that cannot change its volume.
         """
         # B, with zeros in the columns of prescribed unknowns and pressures
-        system = jump.system
-        K = system.K
+        system, K = jump.system, jump.system.K
         free, zero = jump.matrix.createVecs()
         zero.set(0.0)
         free.array = system.moves
@@ -163,12 +162,11 @@ class EnergyBound:
         The `nodal_stiffness` (size,) is that of `ContactCompliance`, one value in a friction disc.
         """
         self._nodal_stiffness = nodal_stiffness
-        system = jump.system
-        self.comm = system.comm
+        self.comm = jump.comm
         self._lift: Lift | None = None
-        if system.component is None:
+        if jump.system.component is None:
             self._lift = Lift(jump)
-        elif not system.is_tangent:
+        elif not jump.system.is_tangent:
             self._lift = SaddleLift(jump)
 
     def energy_bound(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
@@ -190,8 +188,7 @@ class EnergyBound:
         friction = feasible_set.dissipation(gradient) + float(x[t] @ gradient[t])
         on_all_ranks = reduce_array(self.comm, contact + max(friction, 0.0))
         # B w = r - gradient, but exactly zero at open nodes: rounding may be no displacement's jump
-        jump = (x - projected) / self._nodal_stiffness
-        lift = self._lift.energy_norm(jump)
+        lift = self._lift.energy_norm((x - projected) / self._nodal_stiffness)
         return float(np.sqrt(2.0 * float(on_all_ranks) + (lift + error) ** 2)) + error
 
 
@@ -290,8 +287,7 @@ class DiscretisationError:
         Here e_u and e_z are the errors of a displacement u and of a goal's adjoint z. Values may be
         negative: a quarter of the difference of the squared estimates for scaled u + z and u - z.
         """
-        comm = self._cells.mesh.comm
-        squares = [reduce_array(comm, values @ values) for values in (u.x.array, z.x.array)]
+        squares = [reduce_array(self._cells.mesh.comm, v @ v) for v in (u.x.array, z.x.array)]
         size_u, size_z = np.sqrt(squares)
         if size_u == 0.0 or size_z == 0.0:
             return np.zeros_like(self._squares(u.x.array))
@@ -364,9 +360,5 @@ def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
     zero = ufl.zero(gradient.ufl_shape[:1])  # drops terms that depend on values, such as springs
     for argument in a.arguments():
         a = ufl.replace(a, {ufl.grad(argument): gradient, argument: zero})
-    integrals = [
-        integral.reconstruct(integrand=integral.integrand() * weight)
-        for integral in a.integrals()
-        if integral.integral_type() == "cell"
-    ]
-    return ufl.Form(integrals)
+    cells = a.integrals_by_type("cell")
+    return ufl.Form([cell.reconstruct(integrand=cell.integrand() * weight) for cell in cells])

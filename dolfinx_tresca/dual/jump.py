@@ -99,11 +99,13 @@ class JumpOperator(PetscOwner):
         self.row_nodes = np.concatenate(row_nodes)
         self._root_areas = np.sqrt(np.concatenate([operators.weights for operators in pairs]))
         scale: Array = 1.0 / self._root_areas[self.row_nodes]
-        # friction ellipses become discs by a stretch of the tangential rows
         tangential = np.concatenate([rows for _, rows in self._rows])
-        count, node = len(self._root_areas), self.row_nodes[tangential]
+        self.is_tangential = np.zeros(len(scale), dtype=np.bool_)
+        self.is_tangential[tangential] = True
+        # friction ellipses become discs by a stretch of the tangential rows
+        count, nodes = len(self._root_areas), self.row_nodes[tangential]
         semi_axes = np.concatenate([operators.semi_axes for operators in pairs])
-        factors, self._relative_radius, frictionless = friction_discs(node, semi_axes, count)
+        factors, self._relative_radius, frictionless = friction_discs(nodes, semi_axes, count)
         stretch = np.ones(len(scale))
         stretch[tangential] = factors
         # with a column for each degree of freedom of V; rows times roots of areas, then stretched
@@ -118,8 +120,6 @@ class JumpOperator(PetscOwner):
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
         # a disc for each node, then one for each frictionless row whose node has another row
-        self.is_tangential = np.zeros(len(scale), dtype=np.bool_)
-        self.is_tangential[tangential] = True
         is_bonded = np.concatenate([np.full(len(p.row_node), p.bonded) for p in pairs])
         rubs = ~is_bonded[tangential]
         has_own_disc, tangential = frictionless[rubs], tangential[rubs]

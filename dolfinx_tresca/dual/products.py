@@ -18,7 +18,7 @@ from scipy.sparse import csc_array, csr_array, eye_array
 
 from dolfinx import la
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Matrix
 from dolfinx_tresca._base.bodies import couples_bodies, label_bodies
 from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
 from dolfinx_tresca._base.petsc import (
@@ -70,7 +70,8 @@ class SurfaceCompliance:
         self.body = np.repeat(label_bodies(system.V)[: nodes.size_local], block)
         self.bodies = 1.0 + float(largest_abs(system.comm, self.body)[0])
         self._comm, self._moves = system.comm, system.moves
-        self._range, self.dofs = block * np.array(nodes.local_range), self.body[:0]
+        self._range = block * np.array(nodes.local_range)
+        self.dofs = self.body[:0]
         self.matrix = csr_array((0, 0))
 
     def rows(self, compliance: ContactCompliance, solves: int, most_rows: int) -> Matrix | None:
@@ -80,23 +81,23 @@ class SurfaceCompliance:
         are more than `solves`, if S or A would have more than `MOST_ENTRIES` entries, or if A has
         n > `most_rows` rows on all ranks and is not sparse (`SPARSE_SHARE`).
         """
-        jump, comm, start = compliance.jump, self._comm, self._range[0]
+        jump, comm = compliance.jump, self._comm
+        start, end = self._range  # of the numbers that this rank owns
         n, unknowns = jump.matrix.getSize()
         row_starts, columns, values = jump.matrix.getValuesCSR()
         B = csr_array((values, columns, row_starts), shape=(len(jump.gap), unknowns))
         B.eliminate_zeros()
         # `dofs` of S: those until now, and those that B touches on any rank, unless prescribed
         touched = np.unique(gather_rows(comm, np.unique(B.indices)).astype(np.intp))
-        own = touched[self._mine(touched)]
+        own = touched[(start <= touched) & (touched < end)]
         moving = own[self._moves[own - start]]
         dofs = np.union1d(self.dofs, gather_rows(comm, moving))
         B = csr_array(B[:, dofs])
         # `on_body` (s, bodies) has a 1 at the body of each of them
-        own = dofs[self._mine(dofs)]
-        body = gather_rows(comm, self.body[own - start])
-        s = len(body)
-        positions = np.arange(s), body
-        on_body = csr_array((np.ones(s), positions), shape=(s, body.max(initial=0) + 1))
+        mine = slice(*np.searchsorted(dofs, self._range))  # those of this rank
+        body = gather_rows(comm, self.body[dofs[mine] - start])
+        s, bodies = len(body), body.max(initial=0) + 1
+        on_body = csr_array((np.ones(s), body, np.arange(s + 1)), shape=(s, bodies))
         # numbers of entries: A couples multipliers of the same body, and S its degrees of freedom
         acts_on_body = csc_array(abs(B) @ on_body)
         multipliers = np.diff(acts_on_body.indptr).astype(np.float64)
@@ -110,41 +111,29 @@ class SurfaceCompliance:
         if np.bincount(body[is_new], minlength=1).max() > solves:
             return None
         if is_new.any():
-            self._extend(compliance, dofs, is_new, on_body)
+            # solve number i has a unit load on the i-th new degree of freedom of each body
+            new = np.flatnonzero(is_new)
+            members = csc_array(on_body[new])  # those of a body in one column
+            number_of_body = np.diff(members.indptr)
+            starts = np.repeat(members.indptr[:-1], number_of_body)  # of their columns
+            solve = np.full(s, -1)
+            solve[new[members.indices]] = np.arange(len(new)) - starts
+            unit_rows = eye_array(unknowns, format="csr")[dofs[mine]]
+            units = sparse_matrix(unit_rows, jump.matrix.getSizes()[1], comm)
+            responses = compliance.columns(solve[mine], int(number_of_body.max()), units)
+            # what moves in a solve is due to the load on the same body: an entry of that column
+            row, new_column = (on_body[mine] @ on_body[new].T).nonzero()
+            column = new[new_column]
+            entries = responses[row, solve[column]]
+            added = csr_array((entries, (row, column)), shape=(len(responses), s))
+            added = jump.reductions.stacked(added)
+            # S is symmetric: new rows of old columns are new columns of old rows
+            old = eye_array(s, format="csr")[:, ~is_new]
+            old_rows = old @ (old.T @ added)
+            self.matrix = old @ self.matrix @ old.T + added + old_rows.T
+            self.dofs = dofs
         rows = B @ self.matrix @ jump.reductions.stacked(B).T
         return csr_array(rows) if is_sparse else np.asarray(rows.toarray())
-
-    def _mine(self, dofs: Indices) -> slice:
-        """Return the slice of this rank's numbers in ascending global numbers `dofs`."""
-        return slice(*np.searchsorted(dofs, self._range))
-
-    def _extend(
-        self, compliance: ContactCompliance, dofs: Indices, is_new: Mask, on_body: csr_array
-    ) -> None:
-        """Add to S the columns of those degrees of freedom `dofs` (s,) that are new. Collective.
-
-        The matrix `on_body` (s, bodies) has a 1 at the body of each degree of freedom.
-        """
-        B, mine, new = compliance.jump.matrix, self._mine(dofs), np.flatnonzero(is_new)
-        # solve number i has a unit load on the i-th new degree of freedom of each body
-        members = csc_array(on_body[new])  # those of a body in one column
-        numbers = np.diff(members.indptr)  # how many each body has
-        solve = np.full(len(dofs), -1)
-        solve[new[members.indices]] = np.arange(len(new)) - np.repeat(members.indptr[:-1], numbers)
-        unit_rows = eye_array(B.getSize()[1], format="csr")[dofs[mine]]
-        units = sparse_matrix(unit_rows, B.getSizes()[1], self._comm)
-        responses = compliance.columns(solve[mine], int(numbers.max()), units)
-        # what moves in a solve is caused by the load on the same body: an entry in its column of S
-        row, new_column = (on_body[mine] @ on_body[new].T).nonzero()
-        column = new[new_column]
-        entries = responses[row, solve[column]]
-        added = csr_array((entries, (row, column)), shape=(len(responses), len(dofs)))
-        added = compliance.jump.reductions.stacked(added)
-        # S is symmetric: new rows of old columns are new columns of old rows
-        old = eye_array(len(dofs), format="csr")[:, ~is_new]
-        old_rows = old @ (old.T @ added)
-        self.matrix = old @ self.matrix @ old.T + added + old_rows.T
-        self.dofs = dofs
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
@@ -422,8 +411,7 @@ class ContactCompliance(PetscOwner):
         """
         if isinstance(self._store, WholeModel):
             return True
-        B = self.jump.matrix
-        n, _ = B.getSize()
+        B, n = self.jump.matrix, self.jump.matrix.getSize()[0]
         start, end = B.getOwnershipRange()
         if not self.exact:
             most_rows = LARGEST_DENSE_ITERATIVE

@@ -256,7 +256,8 @@ class DualProgram:
         u.array = self._guess.load
         energy = 2.0 * system.strain_energy(u)
         if springs is not None:
-            energy += springs.energy(u)
+            stretch = reduce_array(springs.modes.comm, springs.columns.T @ u.array)
+            energy += float(stretch @ stretch)
         jump_of_forces = self.b + self.offset
         prescribed_values = system.f.x.array[: len(system.moves)][~system.moves]
         if system.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR):
@@ -295,8 +296,7 @@ class DualProgram:
         the change, the largest traction, and the largest rounding error of tractions [stress]. (If
         springs alone carry the loads, tractions and changes are rounding errors of the jumps.)
         """
-        section = self.section_at(x, r)
-        change = x - section.project(self.local_minimiser(x, r))
+        change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
         # the terms of r are the offset and B u = offset - r: their rounding changes tractions
         terms = self.compliance.nodal_stiffness * (np.abs(self.offset) + np.abs(self.offset - r))
         stresses = np.stack([change, x, terms]) * self.jump.stress_scale  # (3, size)

@@ -94,8 +94,7 @@ def _axes(V: Any, operators: PairOperators, direction: Array, circular: Mask) ->
     has_tangents[operators.tangent_node] = True
     with errors_on_all_ranks(V.mesh.comm):
         # a direction counts as normal if the sine of its angle to the normal is at most 1e-6
-        is_normal = ~(length > 1e-6 * whole)
-        bad = np.flatnonzero(has_tangents & ~circular & is_normal)
+        bad = np.flatnonzero(has_tangents & ~circular & ~(length > 1e-6 * whole))
         if len(bad):
             worst, node = direction[bad[0]], operators.nodes[bad[0]]
             fault = "is normal to the surface" if worst.any() else "is zero"
@@ -185,13 +184,12 @@ class SlipBounds:
                 number (or a vector) nor one value for each point; a direction is given in 2D; or a
                 number is negative by more than rounding, NaN, or an infinite coefficient.
         """
-        for name, scalars in _named_scalars(friction).items():
-            rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
-            for field, words in scalars:
+        for scalars in _named_scalars(friction).values():
+            for field, name in scalars:
                 if real(field) is None:  # not a plain number
-                    self.values.values_at(field, nodes, words)
+                    self.values.values_at(field, nodes, name)
                 else:
-                    self._bound(field, nodes, words, rounding)
+                    self._bound(field, nodes, name, stress_rounding)
         if friction.terms.curve is not None:
             zero = np.zeros(len(nodes))  # pressures and slips
             self.check_curve(friction.terms.curve, zero, zero)
@@ -218,18 +216,16 @@ class SlipBounds:
         terms = friction.terms
         bounds: dict[str, Array] = {}
         shape: Array = np.ones((len(nodes), 2))
-        for name, scalars in _named_scalars(friction).items():
-            rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
-            columns = [self._bound(field, nodes, words, rounding) for field, words in scalars]
+        for term, scalars in _named_scalars(friction).items():
+            columns = [self._bound(field, nodes, name, stress_rounding) for field, name in scalars]
             values = np.stack(columns, axis=1)
-            longer = values.max(axis=1)
-            bounds[name] = longer
+            bounds[term] = longer = values.max(axis=1)
             if len(scalars) == 2:  # an ellipse
                 infinite = np.isinf(values)
                 with errors_on_all_ranks(self._comm):
                     if (infinite[:, 0] != infinite[:, 1]).any():
                         raise InputError(
-                            f"{TERMS[name]} must be finite in both directions, or infinite in "
+                            f"{TERMS[term]} must be finite in both directions, or infinite in "
                             "both, found infinity in one of them. Where surfaces hardly slide in "
                             "one direction give a bound that is larger there by a factor such as "
                             "100."
@@ -261,16 +257,19 @@ class SlipBounds:
                     f"{wrong.sum()} of the {len(values)} contact nodes of rank {self._comm.rank}."
                 )
 
-    def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
+    def _bound(
+        self, field: ScalarField, nodes: LocalNumbers, name: str, stress_rounding: float
+    ) -> Array:
         """Return a term's values (n,) at nodes of this rank, if they are bounds. Collective.
 
-        NaN, an infinite coefficient and negative values are errors. But values above -`rounding`,
-        or within the rounding of the largest value, become zero.
+        NaN, an infinite coefficient and negative values are errors. But negative values become zero
+        if they are rounding, as `nodal_bounds` says.
         """
+        is_coefficient = name.startswith(TERMS["coefficient"])
         values = self.values.values_at(field, nodes, name)[:, 0]
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
-        least = -max(relative, rounding)
+        least = -max(relative, COEFFICIENT_ROUNDING if is_coefficient else stress_rounding)
         with errors_on_all_ranks(self._comm):
             bad = ~(values >= least)
             if bad.any():
@@ -279,6 +278,6 @@ class SlipBounds:
                     f"{name} must not be {fault}, found {values[bad][0]:g} "
                     f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {self._comm.rank}."
                 )
-            if name.startswith(TERMS["coefficient"]) and np.isinf(values).any():
+            if is_coefficient and np.isinf(values).any():
                 raise InputError(f"{name} must be finite, found infinity.")
         return np.asarray(np.maximum(values, 0.0))

@@ -104,8 +104,8 @@ class Tools:
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
-            for rows in (by_pair[number] for number in motion.pairs):
-                pair = rows.operators
+            for number in motion.pairs:
+                rows, pair = by_pair[number], by_pair[number].operators
                 weighted = motion.displacement(pair.places) * pair.weights[:, None]
                 column[rows.normal] -= dots(weighted, pair.normals)[pair.normal_node]
                 column[rows.tangential] -= dots(weighted[pair.tangent_node], pair.tangents)
@@ -294,8 +294,7 @@ class FloatingBodies:
         terms[tools] = np.abs(resultants[tools])
         own_terms = np.where(length > 0.0, factors * terms, 0.0)
         # bodies that touch the same nodes pass their loads on: they belong to one group
-        k = len(bodies)
-        of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
+        of_body = csr_array((np.ones(len(bodies)), bodies, np.arange(len(bodies) + 1)))
         group = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
         constraints = EqualityConstraints(
             columns=csr_array(self.jumps @ by_factor),

@@ -70,8 +70,8 @@ class RigidBodyModes:
         # the share of a translation or rotation is its squared part in the span of the motions
         axes, extents, _ = np.linalg.svd(motions[chosen], full_matrices=False)
         shares = np.square(axes[:, extents > 1e-3 * extents[0]]).sum(axis=1)
-        turns = ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
-        names = (*(f"translation along {axis}" for axis in "xyz"[: self.dim]), *turns)
+        names = [f"translation along {axis}" for axis in "xyz"[: self.dim]]
+        names += ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
         free = [name for name, share in zip(names, shares, strict=True) if share > NAMED_PART]
         text = self.bodies.describe(chosen, moving[moving != chosen].tolist())
         # ranks may differ by rounding
@@ -208,11 +208,6 @@ class FixingSprings:
         result.axpy(1.0, springs, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return result
-
-    def energy(self, u: PETSc.Vec) -> float:
-        """Return twice the energy [energy] of the springs under a displacement. Collective."""
-        stretch = reduce_array(self.modes.comm, self.columns.T @ u.array)
-        return float(stretch @ stretch)
 
     def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> tuple[csr_array, csr_array]:
         """Return displacements that forces of the springs alone cause, and stiffness. Collective.
