@@ -256,15 +256,16 @@ class DiscretisationError:
         self._square = fem.form(with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)
         self._cells, self._errors = cells, fem.Function(cells)
-        # the stiffness of a cell is its energy for a gradient, the same in all cells, by its volume
+        # the material of each cell: its stiffness is its energy for the same gradient in all cells,
+        # divided by its volume (up to a factor)
         generic = ufl.as_tensor(np.eye(dim) + 1.0)  # any gradient that strains all directions
         energy = fem.form(with_gradient(a, generic, weight))
         ring = ufl.SpatialCoordinate(mesh)[0] if axisymmetric else ufl.as_ufl(1.0)
         volumes = self._assembled(fem.form(weight * ring * ufl.dx))
         energies = np.maximum(self._assembled(energy), LEAST_DIVISOR)
         logarithms = np.log(energies / volumes)
-        # a material ends at a wide gap between the stiffnesses, which are ascending, of all ranks;
-        # a stiffness that varies gradually makes one material
+        # the stiffnesses of all ranks in ascending order; materials end at the widest gaps, so that
+        # a stiffness that varies gradually makes a single material
         on_rank = np.unique(logarithms.round(2))
         every = np.unique(gather_rows(mesh.comm, on_rank))
         gaps = np.diff(every)

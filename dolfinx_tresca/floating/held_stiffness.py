@@ -54,7 +54,7 @@ class HeldStiffness:
         modes, springs = self._modes, None
         if modes and linear.component is None:
             springs = rigid_modes.FixingSprings(modes)
-        # softly held bodies of a mixed space need no springs: pivots of K may be negative there
+        # in a mixed space, softly held bodies get no springs: K needs no positive pivots there
         elif modes and modes.floats.any():
             body = self.bodies.describe(int(modes.body[modes.floats.argmax()]))
             raise InputError(

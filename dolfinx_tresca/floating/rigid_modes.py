@@ -96,15 +96,15 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     weight = diags_array(np.where(prescribed, largest[label], 1.0))
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))
     free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
-    # motions that are orthonormal on free degrees of freedom, by their components in the modes;
-    # those that move no free degree of freedom are left out
+    # `components` in the modes of motions that are orthonormal on free degrees of freedom; motions
+    # that move no free degree of freedom are left out
     squares, vectors = eigenpairs(sums.sparse_inner(free, free))
     squares = squares.reshape(bodies.count, -1)  # of lengths, 3 or 6 for each body
     independent = squares > 1e-10 * squares.max(axis=1, keepdims=True)
     body, column = np.nonzero(independent)
     lengths = np.sqrt(squares[body, column])
     components = vectors[:, independent.ravel()] @ diags_array(1.0 / lengths)
-    # the motions of each body whose energy is stationary, and K's resistance against them
+    # the motions x of each body at which x'R'K R x is stationary, and K's resistance against them
     resistance: Array = np.empty(0)
     if len(body):
         resistance, turned = eigenpairs(csr_array(components.T @ energy @ components))
