@@ -21,7 +21,7 @@ from dolfinx import fem
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, Indices, LocalNumbers
+from dolfinx_tresca._base.arrays import LEAST_DIVISOR, Array, LocalNumbers
 from dolfinx_tresca._base.compat import interpolation_points
 from dolfinx_tresca._base.functions import vertex_count, zero_like
 from dolfinx_tresca._base.parallel import gather_rows, reduce_array
@@ -43,16 +43,13 @@ class Lift:
 
     def __init__(self, jump: JumpOperator) -> None:
         """Factor B D B'. Collective."""
-        self._prepare(jump.system.K, jump.matrix)
+        self._K, self._B = jump.system.K, jump.matrix
+        self._w, self._jump = self._B.createVecs()
+        self._Kw, self._y = self._B.createVecs()
         self._D = nodal_compliance(jump.system)
         weighted = self._B.copy()
         weighted.diagonalScale(R=self._D)
         self._solver = _factored_unless_singular(weighted.matTransposeMult(self._B))
-
-    def _prepare(self, K: PETSc.Mat, B: PETSc.Mat) -> None:
-        """Keep K and B, and make vectors for them. Collective."""
-        self._K, self._B = K, B
-        (self._w, self._jump), (self._Kw, self._y) = B.createVecs(), B.createVecs()
 
     def energy_norm(self, jumps: Array) -> float:
         """Return |w|_K [energy^(1/2)] for `jumps` (size,); inf if no w has them. Collective."""
@@ -105,8 +102,7 @@ class SaddleLift(Lift):
                 incompressibility in K: the contact closes in a body that cannot change its volume.
         """
         # B, with zeros in the columns of prescribed unknowns and pressures
-        system = jump.system
-        K = system.K
+        system, K = jump.system, jump.system.K
         free, zero = jump.matrix.createVecs()
         zero.set(0.0)
         free.array = system.moves
@@ -118,7 +114,9 @@ class SaddleLift(Lift):
         nothing.assemble()
         whole = PETSc.Mat().createNest([[K, transposed], [B, nothing]], comm=K.comm).copy()
         whole.convert(PETSc.Mat.Type.AIJ)
-        self._prepare(K, B)
+        self._K, self._B = K, B
+        self._w, self._jump = B.createVecs()
+        self._Kw, self._y = B.createVecs()
         self._right, self._solution = whole.createVecs()
         self._solver = _factored_unless_singular(whole, negative_pivots=None)
         # rows of B alone are independent if `Lift` finds a displacement for an irregular jump
@@ -164,12 +162,11 @@ class EnergyBound:
         The `nodal_stiffness` (size,) is that of `ContactCompliance`, one value in a friction disc.
         """
         self._nodal_stiffness = nodal_stiffness
-        system = jump.system
-        self.comm = system.comm
+        self.comm = jump.comm
         self._lift: Lift | None = None
-        if system.component is None:
+        if jump.system.component is None:
             self._lift = Lift(jump)
-        elif not system.is_tangent:
+        elif not jump.system.is_tangent:
             self._lift = SaddleLift(jump)
 
     def energy_bound(self, feasible_set: FeasibleSet, x: Array, r: Array, error: float) -> float:
@@ -187,11 +184,12 @@ class EnergyBound:
         # the gradient at the new jump: in normal rows d - N v, in tangential rows s - T v
         gradient = (projected - minimiser) / self._nodal_stiffness
         n, t = feasible_set.normal, feasible_set.tangential
+        contact = float(x[n] @ gradient[n])
         friction = feasible_set.dissipation(gradient) + float(x[t] @ gradient[t])
-        total = reduce_array(self.comm, float(x[n] @ gradient[n]) + max(friction, 0.0))
+        on_all_ranks = reduce_array(self.comm, contact + max(friction, 0.0))
         # B w = r - gradient, but exactly zero at open nodes: rounding may be no displacement's jump
         lift = self._lift.energy_norm((x - projected) / self._nodal_stiffness)
-        return float(np.sqrt(2.0 * float(total) + (lift + error) ** 2)) + error
+        return float(np.sqrt(2.0 * float(on_all_ranks) + (lift + error) ** 2)) + error
 
 
 #: Number of cells whose gradients are evaluated together; it limits the memory.
@@ -237,16 +235,18 @@ class DiscretisationError:
         self._last: tuple[Array, Array] | None = None  # the last displacement and its estimate
         # the displacement, and the recovered gradient, which is a function of the same degree
         self._u = fem.Function(V)
-        self._gradient = fem.Function(fem.functionspace(mesh, ("Lagrange", degree, (dim, dim))))
+        tensors = fem.functionspace(mesh, ("Lagrange", degree, (dim, dim)))
+        self._gradient = fem.Function(tensors)
         cells = fem.functionspace(mesh, ("DG", 0))
         cell = mesh.basix_cell()
         points, _ = basix.make_quadrature(cell, 2 * (degree - 1))
         self._expression = fem.Expression(ufl.grad(self._u), points)
-        nodes = interpolation_points(self._gradient.function_space.element)
+        nodes = interpolation_points(tensors.element)
         # the matrix that continues a polynomial from the points to the nodes of a cell
-        polynomials = (basix.ElementFamily.P, cell, degree - 1, basix.LagrangeVariant.equispaced)
-        element = basix.create_element(*polynomials, discontinuous=True)
-        at_points, at_nodes = (element.tabulate(0, x)[0, :, :, 0] for x in (points, nodes))
+        family, variant = basix.ElementFamily.P, basix.LagrangeVariant.equispaced
+        element = basix.create_element(family, cell, degree - 1, variant, discontinuous=True)
+        at_points = element.tabulate(0, points)[0, :, :, 0]
+        at_nodes = element.tabulate(0, nodes)[0, :, :, 0]
         self._at_nodes = at_nodes @ np.linalg.inv(at_points)
         # forms of one value in each cell: the energy of the difference, and the volume
         weight = ufl.TestFunction(cells)
@@ -256,11 +256,23 @@ class DiscretisationError:
         self._square = fem.form(with_gradient(a, difference, weight))
         self._volume = fem.form(weight * ufl.dx)
         self._cells, self._errors = cells, fem.Function(cells)
+        # the material of each cell: its stiffness is its energy for the same gradient in all cells,
+        # divided by its volume (up to a factor)
         generic = ufl.as_tensor(np.eye(dim) + 1.0)  # any gradient that strains all directions
+        energy = fem.form(with_gradient(a, generic, weight))
         ring = ufl.SpatialCoordinate(mesh)[0] if axisymmetric else ufl.as_ufl(1.0)
-        self._materials, self._count = self._classify_materials(
-            fem.form(with_gradient(a, generic, weight)), fem.form(weight * ring * ufl.dx)
-        )
+        volumes = self._assembled(fem.form(weight * ring * ufl.dx))
+        energies = np.maximum(self._assembled(energy), LEAST_DIVISOR)
+        logarithms = np.log(energies / volumes)
+        # the stiffnesses of all ranks in ascending order; materials end at the widest gaps, so that
+        # a stiffness that varies gradually makes a single material
+        on_rank = np.unique(logarithms.round(2))
+        every = np.unique(gather_rows(mesh.comm, on_rank))
+        gaps = np.diff(every)
+        widest = np.sort(np.argsort(gaps)[-(MOST_MATERIALS - 1) :])
+        widest = widest[gaps[widest] > np.log(MATERIAL_CONTRAST)]
+        limits = every[widest] + 0.5 * gaps[widest]
+        self._materials, self._count = np.digitize(logarithms, limits), len(widest) + 1
 
     def cell_errors(self, u: fem.Function) -> fem.Function:
         """Return the error of u in each cell [energy^(1/2)], a function of degree 0. Collective."""
@@ -276,19 +288,21 @@ class DiscretisationError:
         Here e_u and e_z are the errors of a displacement u and of a goal's adjoint z. Values may be
         negative: a quarter of the difference of the squared estimates for scaled u + z and u - z.
         """
-        values = u.x.array, z.x.array
-        scale = np.sqrt([reduce_array(self._cells.mesh.comm, v @ v) for v in values])
-        if not scale.all():
-            return np.zeros_like(self._squares(values[0]))
-        scaled_u, scaled_z = values[0] / scale[0], values[1] / scale[1]
+        squares = [reduce_array(self._cells.mesh.comm, v @ v) for v in (u.x.array, z.x.array)]
+        size_u, size_z = np.sqrt(squares)
+        if size_u == 0.0 or size_z == 0.0:
+            return np.zeros_like(self._squares(u.x.array))
+        scaled_u, scaled_z = u.x.array / size_u, z.x.array / size_z
         difference = self._squares(scaled_u + scaled_z) - self._squares(scaled_u - scaled_z)
-        return np.asarray(0.25 * scale[0] * scale[1] * difference)
+        return np.asarray(0.25 * size_u * size_z * difference)
 
     def _squares(self, u: Array) -> Array:
         """Return squared estimates (cells,) [energy] for nodal values u; cached. Collective."""
-        same = self._last is not None and np.array_equal(u, self._last[0])
-        if self._last is not None and self._cells.mesh.comm.allreduce(same, op=MPI.LAND):
-            return self._last[1]
+        if self._last is not None:
+            last_u, last_squares = self._last
+            same = np.array_equal(u, last_u)
+            if self._cells.mesh.comm.allreduce(same, op=MPI.LAND):
+                return last_squares
         self._u.x.array[:] = u
         volumes = self._assembled(self._volume)
         squares = np.zeros_like(volumes)
@@ -296,24 +310,9 @@ class DiscretisationError:
             cells = np.flatnonzero(self._materials == material).astype(np.int32)
             self._recover(cells, volumes)
             squares[cells] = self._assembled(self._square)[cells]
-        self._last = u.copy(), np.asarray(self._factor**2 * squares)
-        return self._last[1]
-
-    def _classify_materials(self, energy: fem.Form, volume: fem.Form) -> tuple[Indices, int]:
-        """Return the material (cells,) of each of this rank's cells, and how many there are.
-
-        Collective. A material is a group of cells whose stiffnesses have no large gap between them:
-        a stiffness that varies gradually makes one group. The form `energy` gives each cell's
-        energy for the same gradient in all cells, and `volume` the cells' volumes up to a factor.
-        """
-        volumes = self._assembled(volume)
-        logarithms = np.log(np.maximum(self._assembled(energy), LEAST_DIVISOR) / volumes)
-        # the stiffnesses of all ranks in ascending order; materials end at the widest gaps
-        every = np.unique(gather_rows(self._cells.mesh.comm, np.unique(logarithms.round(2))))
-        gaps = np.diff(every)
-        widest = np.sort(np.argsort(gaps)[-(MOST_MATERIALS - 1) :])
-        widest = widest[gaps[widest] > np.log(MATERIAL_CONTRAST)]
-        return np.digitize(logarithms, every[widest] + 0.5 * gaps[widest]), len(widest) + 1
+        squares = np.asarray(self._factor**2 * squares)
+        self._last = u.copy(), squares
+        return squares
 
     def _recover(self, of_material: LocalNumbers, volumes: Array) -> None:
         """Set `_gradient` at nodes: the mean over adjacent cells, weighted by volume. Collective.
@@ -328,7 +327,8 @@ class DiscretisationError:
             cells = of_material[start : start + CELLS_AT_ONCE]
             nodes = dofmap.list[cells]
             sampled = self._expression.eval(mesh, cells)
-            values = self._at_nodes @ sampled.reshape(len(cells), self._at_nodes.shape[1], -1)
+            at_points = sampled.reshape(len(cells), self._at_nodes.shape[1], -1)
+            values = self._at_nodes @ at_points  # (cells, nodes of a cell, dim^2)
             # the sum over the cells at each node, by a matrix with a column for each node of each
             # cell; numpy's add.at takes six times as long
             volume = np.repeat(volumes[cells], nodes.shape[1])
@@ -361,9 +361,5 @@ def with_gradient(a: ufl.Form, gradient: Any, weight: Any) -> ufl.Form:
     zero = ufl.zero(gradient.ufl_shape[:1])  # drops terms that depend on values, such as springs
     for argument in a.arguments():
         a = ufl.replace(a, {ufl.grad(argument): gradient, argument: zero})
-    integrals = [
-        integral.reconstruct(integrand=integral.integrand() * weight)
-        for integral in a.integrals()
-        if integral.integral_type() == "cell"
-    ]
-    return ufl.Form(integrals)
+    cells = a.integrals_by_type("cell")
+    return ufl.Form([cell.reconstruct(integrand=cell.integrand() * weight) for cell in cells])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 from mpi4py import MPI
@@ -86,27 +85,29 @@ class JumpOperator(PetscOwner):
         self.system, self.frames, self.comm = system, frames, system.comm
         self.reductions = RankReductions(system.comm)
         # nodes are numbered pair by pair, and rows too: those of N, then those of T
-        ends = np.cumsum([0, *(len(operators.nodes) for operators in pairs)]).tolist()
-        self.nodes = [slice(*ends_of_pair) for ends_of_pair in pairwise(ends)]
-        counts = [len(rows) for p in pairs for rows in (p.normal_node, p.tangent_node)]
-        rows = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
-        self._rows = list(zip(rows[::2], rows[1::2], strict=True))
-        with_nodes = zip(pairs, self.nodes, strict=True)
-        self.row_nodes = np.concatenate([p.row_node + nodes.start for p, nodes in with_nodes])
+        self.nodes: list[slice] = []
+        self._rows: list[tuple[Indices, Indices]] = []
+        row_nodes = []
+        node, row = 0, 0  # numbers of the first node and row of a pair
+        for operators in pairs:
+            self.nodes.append(slice(node, node + len(operators.nodes)))
+            middle = row + len(operators.normal_node)
+            end = middle + len(operators.tangent_node)
+            self._rows.append((np.arange(row, middle), np.arange(middle, end)))
+            row_nodes.append(operators.row_node + node)
+            node, row = node + len(operators.nodes), end
+        self.row_nodes = np.concatenate(row_nodes)
         self._root_areas = np.sqrt(np.concatenate([operators.weights for operators in pairs]))
         scale: Array = 1.0 / self._root_areas[self.row_nodes]
-        is_tangential, is_bonded = np.zeros((2, len(scale)), dtype=np.bool_)
-        for operators, (n, t) in zip(pairs, self._rows, strict=True):
-            is_tangential[t] = True
-            is_bonded[n] = is_bonded[t] = operators.bonded
-        self.is_tangential = is_tangential
+        tangential = np.concatenate([rows for _, rows in self._rows])
+        self.is_tangential = np.zeros(len(scale), dtype=np.bool_)
+        self.is_tangential[tangential] = True
         # friction ellipses become discs by a stretch of the tangential rows
-        tangential, count = np.flatnonzero(is_tangential), len(self._root_areas)
+        count, nodes = len(self._root_areas), self.row_nodes[tangential]
         semi_axes = np.concatenate([operators.semi_axes for operators in pairs])
+        factors, self._relative_radius, frictionless = friction_discs(nodes, semi_axes, count)
         stretch = np.ones(len(scale))
-        stretch[tangential], self._relative_radius, frictionless = friction_discs(
-            self.row_nodes[tangential], semi_axes, count
-        )
+        stretch[tangential] = factors
         # with a column for each degree of freedom of V; rows times roots of areas, then stretched
         self._of_V = B = assemble_B(system.V, pairs)
         self._multipliers, self._jump = B.createVecLeft(), B.createVecLeft()
@@ -119,15 +120,16 @@ class JumpOperator(PetscOwner):
         self.stress_scale, self.length_scale = scale * stretch, scale / stretch
         self.set_gaps(pairs)
         # a disc for each node, then one for each frictionless row whose node has another row
+        is_bonded = np.concatenate([np.full(len(p.row_node), p.bonded) for p in pairs])
         rubs = ~is_bonded[tangential]
         has_own_disc, tangential = frictionless[rubs], tangential[rubs]
-        node = self.row_nodes[tangential].astype(np.intp)
-        node[has_own_disc] = count + np.arange(has_own_disc.sum())
+        disc = self.row_nodes[tangential].astype(np.intp)
+        disc[has_own_disc] = count + np.arange(has_own_disc.sum())
         radius = np.full(count + has_own_disc.sum(), np.inf)
-        normal = np.flatnonzero(~(is_tangential | is_bonded))
+        normal = np.flatnonzero(~(self.is_tangential | is_bonded))
         normal_of = np.full(len(radius), -1)  # the normal row of each disc; -1: none
         normal_of[self.row_nodes[normal]] = normal
-        self.discs = FeasibleSet(len(scale), normal, tangential, node, radius, normal_of)
+        self.discs = FeasibleSet(len(scale), normal, tangential, disc, radius, normal_of)
 
     def destroy(self) -> None:
         """Free the PETSc objects, `_jump_matrix` if it has been made. Collective."""
@@ -148,22 +150,24 @@ class JumpOperator(PetscOwner):
             acting, acts = [], np.zeros(len(self._root_areas), dtype=np.bool_)
             for j in numbers:
                 area = self.pairs[j].shares[:, numbers.index(k)]
-                keep = acts[self.nodes[j]] = area > 0.0
+                keep = area > 0.0
+                acts[self.nodes[j]] = keep
                 at_nodes = self.pairs[j].at_nodes(keep)
                 acting.append(dataclasses.replace(at_nodes, weights=area[keep]))
             row_acts = acts[self.row_nodes]
-            masks = acts, row_acts & ~self.is_tangential, row_acts & self.is_tangential
-            result.append(RowsOfPair(joined(acting), *map(np.flatnonzero, masks)))
+            normal = np.flatnonzero(row_acts & ~self.is_tangential)
+            tangential = np.flatnonzero(row_acts & self.is_tangential)
+            result.append(RowsOfPair(joined(acting), np.flatnonzero(acts), normal, tangential))
         return result
 
     def set_gaps(self, pairs: Sequence[PairOperators]) -> None:
         """Set `pairs`, `own_rows` and `gap` from pairs that differ in gaps only. Not collective."""
         self.pairs, self.gap = list(pairs), np.zeros(len(self.length_scale))
-        self.own_rows = [
-            RowsOfPair(operators, np.arange(nodes.start, nodes.stop), *rows)
-            for operators, nodes, rows in zip(pairs, self.nodes, self._rows, strict=True)
-        ]
-        for operators, (normal, _) in zip(pairs, self._rows, strict=True):
+        self.own_rows: list[RowsOfPair] = []
+        for operators, nodes, rows in zip(pairs, self.nodes, self._rows, strict=True):
+            normal, tangential = rows
+            numbers = np.arange(nodes.start, nodes.stop)
+            self.own_rows.append(RowsOfPair(operators, numbers, normal, tangential))
             gaps = operators.gap[operators.normal_node]
             self.gap[normal] = gaps / self.length_scale[normal]
 
@@ -177,11 +181,10 @@ class JumpOperator(PetscOwner):
         # discs of frictionless rows, which come last, get the radius 0
         count, roots = len(self.discs.radius), self._root_areas
         ratios, scaled = self._relative_radius, self._relative_radius * roots
-        names = "constant", "coefficient", "limit"
-        of_discs: dict[str, Any] = {name: np.zeros(count) for name in names}
-        for name, result in of_discs.items():
+        of_discs: dict[str, Any] = {}
+        for name, factor in (("constant", scaled), ("coefficient", ratios), ("limit", scaled)):
             values = np.concatenate([getattr(bounds, name) for bounds in slip_bounds])
-            factor = ratios if name == "coefficient" else scaled
+            of_discs[name] = result = np.zeros(count)
             np.multiply(values, factor, out=result[: len(roots)], where=factor > 0.0)  # no inf * 0
         given = dataclasses.replace(self.discs, radius=of_discs.pop("constant"))
         if not self.comm.allreduce(bool(of_discs["coefficient"].any()), op=MPI.LOR):
@@ -277,10 +280,8 @@ class JumpOperator(PetscOwner):
 
 def nodal_compliance(system: LinearSystem) -> PETSc.Vec:
     """Return 1 / diag(K), D in `Lift`, zero except at free displacements; the caller owns it."""
-    compliance = system.K.getDiagonal()
-    compliance.array = np.divide(
-        1.0, compliance.array, where=system.moves, out=np.zeros(len(system.moves))
-    )
+    compliance, moves = system.K.getDiagonal(), system.moves
+    compliance.array = np.divide(1.0, compliance.array, where=moves, out=np.zeros(len(moves)))
     return compliance
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -43,6 +42,7 @@ def displaced_jump(
     """
     # groups with a pair that is paired anew are paired anew as a whole
     system, V = before.system, u.function_space
+    comm = V.mesh.comm
     stay = [old.bonded or not new for old, new in zip(before.pairs, anew, strict=True)]
     values = u.x.array.reshape(-1, V.dofmap.index_map_bs)
     straight_u = straightened(V, values)
@@ -60,24 +60,26 @@ def displaced_jump(
     with destroyed_on_error(jump):
         closings = jump.closings(paired_at)
         for k, (new, old, pair) in enumerate(zip(operators, before.pairs, pairs, strict=True)):
-            if not stay[k]:
-                paired, still_paired = reduce_array(V.mesh.comm, [len(old.nodes), len(new.nodes)])
-                if still_paired == 0 < paired:
-                    warn(
-                        V.mesh.comm,
-                        "contact pair %s: none of %d paired nodes faces the other side any more: "
-                        "the surfaces have left each other, or have passed through each other in "
-                        "too large a load step: then take smaller steps.",
-                        *(pair, paired),
-                        about=str(pair),
-                    )
-                if straight_u is not values:
-                    paired_at.x.array[:] = _bent_primary(V, straight_u, values, new).ravel()
-                    closings = jump.closings(paired_at)
-                # the heights of curved edges in the previous B; 0 at new nodes
-                raised = np.append(old.secondary_sagitta, 0.0)[_position(new.nodes, old.nodes)]
-                distance = new.distance + new.secondary_sagitta - raised + closings[k]
-                operators[k] = dataclasses.replace(new, distance=distance, secondary_sagitta=raised)
+            if stay[k]:
+                continue
+            old_count, new_count = reduce_array(comm, [len(old.nodes), len(new.nodes)])
+            if new_count == 0 and old_count > 0:
+                warn(
+                    comm,
+                    "contact pair %s: none of %d paired nodes faces the other side any more: "
+                    "the surfaces have left each other, or have passed through each other in "
+                    "too large a load step: then take smaller steps.",
+                    *(pair, old_count),
+                    about=str(pair),
+                )
+            if straight_u is not values:
+                paired_at.x.array[:] = _bent_primary(V, straight_u, values, new).ravel()
+                closings = jump.closings(paired_at)
+            # the heights of curved edges in the previous B; 0 at new nodes
+            position = _position(new.nodes, old.nodes)
+            raised = np.append(old.secondary_sagitta, 0.0)[position]
+            distance = new.distance + new.secondary_sagitta - raised + closings[k]
+            operators[k] = replace(new, distance=distance, secondary_sagitta=raised)
         jump.set_gaps(operators)
     return jump
 
@@ -141,12 +143,13 @@ def _position(nodes: LocalNumbers, old_nodes: LocalNumbers) -> Indices:
     """
     # a key for each occurrence of a node: the node's number times `most`, plus 0, 1, ...
     most = max(len(nodes), len(old_nodes))
-    keys, old_keys = (
-        array.astype(np.int64) * most + np.arange(len(array)) - np.searchsorted(array, array)
-        for array in (nodes, old_nodes)
-    )
+    occurrence = np.arange(len(nodes)) - np.searchsorted(nodes, nodes)
+    old_occurrence = np.arange(len(old_nodes)) - np.searchsorted(old_nodes, old_nodes)
+    keys = nodes.astype(np.int64) * most + occurrence
+    old_keys = old_nodes.astype(np.int64) * most + old_occurrence
     index = np.searchsorted(old_keys, keys)
-    return np.where(np.append(old_keys, -1)[index] == keys, index, len(old_nodes))
+    is_old = np.append(old_keys, -1)[index] == keys  # -1 is no key
+    return np.where(is_old, index, len(old_nodes))
 
 
 @dataclass(frozen=True)
@@ -209,13 +212,7 @@ class SlipHistory:
         sticking nodes, since residuals of the iteration would add up over the steps. For each pair,
         steps (n, d + 1) [length] are slip vectors at its nodes and lengths of paths.
         """
-        slipped = tuple(before.copy() for before in self.slipped)
-        for after, step, pair in zip(slipped, steps, jump.pairs, strict=True):
-            after[pair.nodes] += step
-        return replace(
-            self,
-            origin=self.origin + slip,
-            slipped=slipped,
-            dissipation=self.dissipation + dissipation,
-            begun=True,
-        )
+        slipped = tuple(slips.copy() for slips in self.slipped)
+        for slips, step, pair in zip(slipped, steps, jump.pairs, strict=True):
+            slips[pair.nodes] += step
+        return SlipHistory(self.origin + slip, slipped, self.dissipation + dissipation, begun=True)

@@ -209,8 +209,10 @@ class NodalValues:
         if n == 0:
             return np.zeros((components, 0))
         array = np.asarray(function(self._points[nodes].T.copy()))
-        constant, wanted = ((components,), (components, n)) if components > 1 else ((), (n,))
-        kind = "a vector" if components > 1 else "a real number"
+        is_vector = components > 1
+        kind = "a vector" if is_vector else "a real number"
+        constant = (components,) if is_vector else ()
+        wanted = (components, n) if is_vector else (n,)
         if array.dtype.kind not in "biuf" or array.shape not in (constant, wanted, (components, n)):
             raise InputError(
                 f"the function for {name} must return {kind}, or one for each "
@@ -218,7 +220,7 @@ class NodalValues:
                 f"should return an array of shape {wanted}, found "
                 + (f"{array}." if array.shape == () else f"shape {array.shape} of {array.dtype}.")
             )
-        columns = array[:, None] if components > 1 and array.shape == constant else array
+        columns = array[:, None] if is_vector and array.shape == constant else array
         return np.array(np.broadcast_to(columns, (components, n)), dtype=np.float64)
 
     def _check_mesh(self, expression: Expr, name: str) -> None:
@@ -239,9 +241,9 @@ class NodalValues:
         self._check_mesh(expression, name)
         if expression not in self._compiled:
             # expressions of numbers alone have no mesh
-            self._compiled[expression] = fem.Expression(
-                fem.Constant(self._V.mesh, 1.0) * expression, interpolation_points(self._V.element)
-            )
+            on_mesh = fem.Constant(self._V.mesh, 1.0) * expression
+            points = interpolation_points(self._V.element)
+            self._compiled[expression] = fem.Expression(on_mesh, points)
         cells, index = self._cell_and_index[:, nodes]
         sampled = self._compiled[expression].eval(self._V.mesh, cells)
         count = self._V.dofmap.list.shape[1]

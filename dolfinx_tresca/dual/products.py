@@ -18,7 +18,7 @@ from scipy.sparse import csc_array, csr_array, eye_array
 
 from dolfinx import la
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, Matrix
+from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Matrix
 from dolfinx_tresca._base.bodies import couples_bodies, label_bodies
 from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
 from dolfinx_tresca._base.petsc import (
@@ -70,7 +70,8 @@ class SurfaceCompliance:
         self.body = np.repeat(label_bodies(system.V)[: nodes.size_local], block)
         self.bodies = 1.0 + float(largest_abs(system.comm, self.body)[0])
         self._comm, self._moves = system.comm, system.moves
-        self._range, self.dofs = block * np.array(nodes.local_range), self.body[:0]
+        self._range = block * np.array(nodes.local_range)
+        self.dofs = self.body[:0]
         self.matrix = csr_array((0, 0))
 
     def rows(self, compliance: ContactCompliance, solves: int, most_rows: int) -> Matrix | None:
@@ -80,57 +81,59 @@ class SurfaceCompliance:
         are more than `solves`, if S or A would have more than `MOST_ENTRIES` entries, or if A has
         n > `most_rows` rows on all ranks and is not sparse (`SPARSE_SHARE`).
         """
-        jump, (n, unknowns) = compliance.jump, compliance.jump.matrix.getSize()
-        B = csr_array(jump.matrix.getValuesCSR()[::-1], shape=(len(jump.gap), unknowns))
+        jump, comm = compliance.jump, self._comm
+        start, end = self._range  # of the numbers that this rank owns
+        n, unknowns = jump.matrix.getSize()
+        row_starts, columns, values = jump.matrix.getValuesCSR()
+        B = csr_array((values, columns, row_starts), shape=(len(jump.gap), unknowns))
         B.eliminate_zeros()
-        touched = np.unique(gather_rows(self._comm, np.unique(B.indices)).astype(np.intp))
-        own = touched[self._mine(touched)]
-        touched = gather_rows(self._comm, own[self._moves[own - self._range[0]]])
-        dofs = np.union1d(self.dofs, touched)
-        body = gather_rows(self._comm, self.body[dofs[self._mine(dofs)] - self._range[0]])
-        on_body = (np.ones(len(body)), (np.arange(len(body)), body))
-        on_body = csr_array(on_body, shape=(len(body), body.max(initial=0) + 1))
+        # `dofs` of S: those until now, and those that B touches on any rank, unless prescribed
+        touched = np.unique(gather_rows(comm, np.unique(B.indices)).astype(np.intp))
+        own = touched[(start <= touched) & (touched < end)]
+        moving = own[self._moves[own - start]]
+        dofs = np.union1d(self.dofs, gather_rows(comm, moving))
         B = csr_array(B[:, dofs])
+        # `on_body` (s, bodies) has a 1 at the body of each of them
+        mine = slice(*np.searchsorted(dofs, self._range))  # those of this rank
+        body = gather_rows(comm, self.body[dofs[mine] - start])
+        s, bodies = len(body), body.max(initial=0) + 1
+        on_body = csr_array((np.ones(s), body, np.arange(s + 1)), shape=(s, bodies))
         # numbers of entries: A couples multipliers of the same body, and S its degrees of freedom
-        multipliers = np.diff(csc_array(abs(B) @ on_body).indptr).astype(np.float64)
-        counts = np.array([reduce_array(self._comm, multipliers), on_body.sum(axis=0)])
-        entries, is_new = np.square(counts).sum(axis=1), np.isin(dofs, self.dofs, invert=True)
-        is_sparse = entries[0] < SPARSE_SHARE * n**2
-        is_small = entries.max() <= MOST_ENTRIES and (is_sparse or n <= most_rows)
-        if not is_small or np.bincount(body[is_new], minlength=1).max() > solves:
+        acts_on_body = csc_array(abs(B) @ on_body)
+        multipliers = np.diff(acts_on_body.indptr).astype(np.float64)
+        counts = np.array([reduce_array(comm, multipliers), on_body.sum(axis=0)])
+        entries_of_A, entries_of_S = np.square(counts).sum(axis=1)
+        is_sparse = entries_of_A < SPARSE_SHARE * n**2
+        if max(entries_of_A, entries_of_S) > MOST_ENTRIES or not (is_sparse or n <= most_rows):
+            return None
+        # one solve serves one new degree of freedom of every body
+        is_new = np.isin(dofs, self.dofs, invert=True)
+        if np.bincount(body[is_new], minlength=1).max() > solves:
             return None
         if is_new.any():
-            self._extend(compliance, dofs, is_new, on_body)
+            # solve number i has a unit load on the i-th new degree of freedom of each body
+            new = np.flatnonzero(is_new)
+            members = csc_array(on_body[new])  # those of a body in one column
+            number_of_body = np.diff(members.indptr)
+            starts = np.repeat(members.indptr[:-1], number_of_body)  # of their columns
+            solve = np.full(s, -1)
+            solve[new[members.indices]] = np.arange(len(new)) - starts
+            unit_rows = eye_array(unknowns, format="csr")[dofs[mine]]
+            units = sparse_matrix(unit_rows, jump.matrix.getSizes()[1], comm)
+            responses = compliance.columns(solve[mine], int(number_of_body.max()), units)
+            # what moves in a solve is due to the load on the same body: an entry of that column
+            row, new_column = (on_body[mine] @ on_body[new].T).nonzero()
+            column = new[new_column]
+            entries = responses[row, solve[column]]
+            added = csr_array((entries, (row, column)), shape=(len(responses), s))
+            added = jump.reductions.stacked(added)
+            # S is symmetric: new rows of old columns are new columns of old rows
+            old = eye_array(s, format="csr")[:, ~is_new]
+            old_rows = old @ (old.T @ added)
+            self.matrix = old @ self.matrix @ old.T + added + old_rows.T
+            self.dofs = dofs
         rows = B @ self.matrix @ jump.reductions.stacked(B).T
         return csr_array(rows) if is_sparse else np.asarray(rows.toarray())
-
-    def _mine(self, dofs: Indices) -> slice:
-        """Return the slice of this rank's numbers in ascending global numbers `dofs`."""
-        return slice(*np.searchsorted(dofs, self._range))
-
-    def _extend(
-        self, compliance: ContactCompliance, dofs: Indices, is_new: Mask, on_body: csr_array
-    ) -> None:
-        """Add to S the columns of those degrees of freedom `dofs` (s,) that are new. Collective.
-
-        The matrix `on_body` (s, bodies) has a 1 at the body of each degree of freedom.
-        """
-        B, mine, new = compliance.jump.matrix, self._mine(dofs), np.flatnonzero(is_new)
-        # solve number i has a unit load on the i-th new degree of freedom of each body
-        members = csc_array(on_body[new])
-        numbers, solve = np.diff(members.indptr), np.full(len(dofs), -1)
-        solve[new[members.indices]] = np.arange(len(new)) - np.repeat(members.indptr[:-1], numbers)
-        unit_rows = eye_array(B.getSize()[1], format="csr")[dofs[mine]]
-        units = sparse_matrix(unit_rows, B.getSizes()[1], self._comm)
-        responses = compliance.columns(solve[mine], int(numbers.max()), units)
-        row, column = (on_body[mine] @ on_body[new].T).nonzero()
-        entries = responses[row, solve[new[column]]], (row, new[column])
-        added = csr_array(entries, shape=(len(responses), len(dofs)))
-        added = compliance.jump.reductions.stacked(added)
-        # S is symmetric: new rows of old columns are new columns of old rows
-        old = eye_array(len(dofs), format="csr")[:, ~is_new]
-        self.matrix = old @ self.matrix @ old.T + added + (old @ (old.T @ added)).T
-        self.dofs = dofs
 
 
 def _solve(matrix: csr_array, right: Array) -> Array:
@@ -215,10 +218,26 @@ class NearField(PetscOwner):
 
     def __init__(self, jump: JumpOperator, solver: StiffnessSolver) -> None:
         """Find nodes near the contact, and factor K there and on the coarse level. Collective."""
-        self._jump, K = jump, solver.matrix
-        self.comm = jump.comm
-        near = np.repeat(_near(jump, LAYERS), jump.system.V.dofmap.index_map_bs)
-        self._dofs = np.flatnonzero(near & ~jump.system.prescribed)
+        self._jump, self.comm = jump, jump.comm
+        K, V = solver.matrix, jump.system.V
+        nodes, block, cells = V.dofmap.index_map, V.dofmap.index_map_bs, V.dofmap.list
+        # nodes on which contact acts: with a nonzero entry in B, on any rank
+        touched = jump.matrix.createVecRight()
+        _, columns, values = jump.matrix.getValuesCSR()
+        touched.setValues(columns, np.abs(values), PETSc.InsertMode.ADD)
+        touched.assemble()
+        of_nodes = touched.array.reshape(nodes.size_local, block)  # maybe no nodes
+        near = la.vector(nodes, 1, np.float64)
+        near.array[: nodes.size_local] = of_nodes.any(axis=1)
+        # and those of layer after layer of cells around them
+        for _ in range(LAYERS):
+            near.scatter_forward()
+            around = cells[(near.array[cells] > 0.0).any(axis=1)]
+            near.array[around] = 1.0
+            near.scatter_reverse(la.InsertMode.add)
+        is_near = np.repeat(near.array[: nodes.size_local] > 0.0, block)
+        self._dofs = np.flatnonzero(is_near & ~jump.system.prescribed)
+        # K of these degrees of freedom, all others clamped
         numbers = (K.getOwnershipRange()[0] + self._dofs).astype(PETSc.IntType)
         rows = PETSc.IS().createGeneral(numbers, comm=K.comm)
         K_local = K.createSubMatrix(rows, rows)
@@ -271,25 +290,6 @@ class NearField(PetscOwner):
         return self._jump.of_unknowns(self._u)
 
 
-def _near(jump: JumpOperator, layers: int) -> Mask:
-    """Return a mask of the owned nodes within `layers` of cells from the contact. Collective."""
-    V, B = jump.system.V, jump.matrix
-    nodes, cells = V.dofmap.index_map, V.dofmap.list
-    # nodes with a nonzero entry in B, on any rank
-    touched, (_, columns, values) = B.createVecRight(), B.getValuesCSR()
-    touched.setValues(columns, np.abs(values), PETSc.InsertMode.ADD)
-    touched.assemble()
-    of_nodes = touched.array.reshape(nodes.size_local, V.dofmap.index_map_bs)  # maybe no nodes
-    near = la.vector(nodes, 1, np.float64)
-    near.array[: nodes.size_local] = of_nodes.any(axis=1)
-    for _ in range(layers):
-        near.scatter_forward()
-        around = cells[(near.array[cells] > 0.0).any(axis=1)]
-        near.array[around] = 1.0
-        near.scatter_reverse(la.InsertMode.add)
-    return np.asarray(near.array[: nodes.size_local] > 0.0)
-
-
 #: With a direct solver, A is computed before the first iteration if it is sparse or has at most
 #: `MOST_AT_ONCE` rows, and if the solves for it read at most `ENTRIES_AT_ONCE` entries of the
 #: factors for each body, in a quarter to half of a second. (Without A, two strips with 802 rows,
@@ -334,7 +334,8 @@ class ContactCompliance(PetscOwner):
     def _destroy_but_solver(self) -> None:
         # what only these objects own is freed with them, on several ranks by `free_unused`
         vars(self).pop("error_bound", None)
-        if (near := vars(self).pop("near_field", None)) is not None:
+        near = vars(self).pop("near_field", None)
+        if near is not None:
             near.destroy()
 
     def on(self, jump: JumpOperator) -> ContactCompliance:
@@ -393,12 +394,12 @@ class ContactCompliance(PetscOwner):
             # in a mixed space, clamped nodes round the near field would fix its volume
             is_mixed = jump.system.component is not None
             near = None if is_mixed or n == 0 else (lambda x: self.near_field.apply(x))
-            self._store = ProductStore(
-                jump.reductions, np.reciprocal(self.nodal_stiffness), apply_near=near
-            )
+            compliance = np.reciprocal(self.nodal_stiffness)
+            self._store = ProductStore(jump.reductions, compliance, apply_near=near)
             if self.exact and n > 0:
                 bodies = 1.0 if self.surfaces is None else self.surfaces.bodies
-                self.complete_products(ENTRIES_AT_ONCE * bodies / self.solver.entries, MOST_AT_ONCE)
+                solves = ENTRIES_AT_ONCE * bodies / self.solver.entries
+                self.complete_products(solves, MOST_AT_ONCE)
         return self._store
 
     def complete_products(self, solves: float = np.inf, most_rows: int = LARGEST_DENSE) -> bool:
@@ -410,17 +411,20 @@ class ContactCompliance(PetscOwner):
         """
         if isinstance(self._store, WholeModel):
             return True
-        B, rows = self.jump.matrix, None
-        n, most_rows = B.getSize()[0], most_rows if self.exact else LARGEST_DENSE_ITERATIVE
+        B, n = self.jump.matrix, self.jump.matrix.getSize()[0]
+        start, end = B.getOwnershipRange()
+        if not self.exact:
+            most_rows = LARGEST_DENSE_ITERATIVE
+        rows = None  # this rank's rows of A
         if self.surfaces is not None:
             limit = max(int(min(solves, n - 1)), self._products_before)
             rows = self.surfaces.rows(self, limit, most_rows)
         if rows is not None:
             self._products_before = -self.products  # those until now do not count
         elif n <= min(solves, most_rows):
-            rows = self.columns(np.arange(*B.getOwnershipRange()), n, B)
+            rows = self.columns(np.arange(start, end), n, B)
         if rows is not None:
-            start, compliance = B.getOwnershipRange()[0], np.reciprocal(self.nodal_stiffness)
+            compliance = np.reciprocal(self.nodal_stiffness)
             self._store = WholeModel(self.jump.reductions, rows, start, compliance, _solve)
         return rows is not None
 

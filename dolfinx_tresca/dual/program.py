@@ -91,37 +91,47 @@ class DualProgram:
             MechanismError: contact cannot hold a floating body or a tool.
             StiffnessError: the solve failed.
         """
-        jump = self.jump = compliance.jump
-        self.compliance, self._solver, self._guess = compliance, compliance.solver, guess
+        jump = compliance.jump
+        self.jump, self.compliance = jump, compliance
+        self._solver, self._guess = compliance.solver, guess
         self._load, self._u = jump.system.f.x.petsc_vec, jump.work
         self.reductions, self.inner = jump.reductions, jump.reductions.inner
         self.history = SlipHistory.none(jump) if history is None else history
         self.is_load_step = self.history.begun
         self.admissible = jump.bounded(slip_bounds)
-        self._set_equilibrium(tools)
+
+        # floating bodies and tools must be in equilibrium under the present load
+        bodies = compliance.floating
+        self.of_tools = slice(0)
+        if tools is not None:
+            if bodies is None:
+                dim, unknowns = jump.system.V.mesh.geometry.dim, len(self._load.array)
+                bodies = FloatingBodies.none(tools.bodies, jump.comm, dim, unknowns, len(jump.gap))
+            self.of_tools = slice(len(bodies.modes), None)  # tools come after the modes of bodies
+            bodies = bodies.with_tools(tools)
+        self.equilibrium: Equilibrium | None = None
+        self.constraints = EqualityConstraints.none(len(jump.gap), jump.reductions)
+        if bodies is not None:
+            self.equilibrium = bodies.under(self._load.array, self.admissible, jump.reductions)
+            self.constraints = self.equilibrium.constraints
+
         self.offset = jump.gap + self.history.origin
         if jump.frames is not None:
             self.offset = self.offset - jump.of_displacement(jump.frames.rigid)
         self._is_refined = compliance.exact
         self._solved: tuple[Array, Array] | None = None  # multipliers and u, for a direct solver
         self._compute_b(LOAD_ACCURACY)
-        self._check_units()
 
-    def _set_equilibrium(self, tools: Tools | None) -> None:
-        """Set `equilibrium`, `constraints` and `of_tools` for the present load. Collective."""
-        jump, bodies, load = self.jump, self.compliance.floating, self._load.array
-        self.equilibrium: Equilibrium | None = None
-        self.constraints = EqualityConstraints.none(len(jump.gap), jump.reductions)
-        self.of_tools = slice(0)
-        if tools is not None:
-            if bodies is None:
-                dim, sizes = jump.system.V.mesh.geometry.dim, (len(load), len(jump.gap))
-                bodies = FloatingBodies.none(tools.bodies, jump.comm, dim, *sizes)
-            self.of_tools = slice(len(bodies.modes), None)
-            bodies = bodies.with_tools(tools)
-        if bodies is not None:
-            self.equilibrium = bodies.under(load, self.admissible, jump.reductions)
-            self.constraints = self.equilibrium.constraints
+        # squares of lengths and forces must neither overflow nor underflow
+        largest_force = self._load.norm(PETSc.NormType.INFINITY)
+        (largest_length,) = largest_abs(jump.comm, self.b)
+        least = 1.0 / LARGEST_ENTRY
+        for name, entry in (("load", largest_force), ("displacement it causes", largest_length)):
+            if entry > LARGEST_ENTRY or (largest_length < least and 0.0 < entry < least):
+                raise InputError(
+                    f"the {name} has entries up to {entry:.1e}: squares of such numbers cannot be "
+                    "computed. Choose units in which they are nearer to 1."
+                )
 
     def _compute_b(self, rtol: float) -> None:
         """Compute b from the displacement without contact, and update the guess. Collective."""
@@ -148,18 +158,6 @@ class DualProgram:
         # includes rounding, which the iteration does not see
         self.b_error = max(self.b_error, self._solver.error(self._load, self._u))
 
-    def _check_units(self) -> None:
-        """Check that squares of lengths and forces neither overflow nor underflow. Collective."""
-        force = self._load.norm(PETSc.NormType.INFINITY)
-        (largest,) = largest_abs(self.jump.comm, self.b)
-        least = 1.0 / LARGEST_ENTRY
-        for name, entry in (("load", force), ("displacement it causes", largest)):
-            if entry > LARGEST_ENTRY or (largest < least and 0.0 < entry < least):
-                raise InputError(
-                    f"the {name} has entries up to {entry:.1e}: squares of such numbers cannot be "
-                    "computed. Choose units in which they are nearer to 1."
-                )
-
     def gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return r = A x - b, and an estimate of its error, sqrt(e'A^-1 e). Collective.
 
@@ -170,8 +168,9 @@ class DualProgram:
         step is a difference of gradients, which may be pure rounding if the step is small.
         """
         if self._solver.exact:
-            presses = float(self.inner(x, x)) > 0.0
-            return (self.compliance.apply(x) - self.b if presses else -self.b), 0.0
+            if float(self.inner(x, x)) > 0.0:
+                return self.compliance.apply(x) - self.b, 0.0
+            return -self.b, 0.0
         before = self._solver.krylov_iterations
         error = self._solve_from_guess(x, self._u, FULL_ACCURACY, accuracy)
         self.compliance.products += self._solver.krylov_iterations > before
@@ -181,7 +180,8 @@ class DualProgram:
         # from above, since no node is stiffer than with fixed neighbours
         terms = np.abs(self.offset) + np.abs(self.offset - r)
         square = float(self.inner(terms, self.compliance.nodal_stiffness * terms))
-        return r, float(np.hypot(error, 0.5 * np.finfo(float).eps * np.sqrt(square)))
+        rounding = 0.5 * np.finfo(float).eps * np.sqrt(square)
+        return r, float(np.hypot(error, rounding))
 
     def _solve_from_guess(self, x: Array, u: PETSc.Vec, rtol: float, accuracy: float) -> float:
         """Set u to K^-1 (f - B'x) by a solve from `_guessed`; return the error. Collective."""
@@ -259,7 +259,8 @@ class DualProgram:
         u.array = self._guess.load
         energy = 2.0 * system.strain_energy(u)
         if springs is not None:
-            energy += springs.energy(u)
+            stretch = reduce_array(springs.modes.comm, springs.columns.T @ u.array)
+            energy += float(stretch @ stretch)
         jump_of_forces = self.b + self.offset
         prescribed_values = system.f.x.array[: len(system.moves)][~system.moves]
         if system.comm.allreduce(bool(prescribed_values.any()), op=MPI.LOR):
@@ -288,7 +289,8 @@ class DualProgram:
 
     def local_error(self, x: Array, r: Array) -> float:
         """Return `local_change` relative to the largest traction; 0 for rounding. Collective."""
-        return relative_change(*self.local_change(x, r))
+        change, largest_traction, rounding = self.local_change(x, r)
+        return relative_change(change, largest_traction, rounding)
 
     def local_change(self, x: Array, r: Array) -> tuple[float, float, float]:
         """Return the largest change of a node's traction to its local minimum of q. Collective.
@@ -298,13 +300,15 @@ class DualProgram:
         springs alone carry the loads, tractions and changes are rounding errors of the jumps.)
         """
         change = x - self.section_at(x, r).project(self.local_minimiser(x, r))
+        # the terms of r are the offset and B u = offset - r: their rounding changes tractions
         terms = self.compliance.nodal_stiffness * (np.abs(self.offset) + np.abs(self.offset - r))
-        discs, stresses = self.jump.discs, np.stack([change, x, terms]) * self.jump.stress_scale
+        stresses = np.stack([change, x, terms]) * self.jump.stress_scale  # (3, size)
+        discs = self.jump.discs
         pressures = np.abs(stresses[:, discs.normal])
-        tractions = np.array([discs.norms(values) for values in stresses])
+        tractions = np.array([discs.norms(values) for values in stresses])  # (3, discs)
         maxima = np.column_stack([pressures, tractions]).max(axis=1, initial=0.0)
-        largest, traction, rounding = reduce_array(self.jump.comm, maxima, MPI.MAX)
-        return float(largest), float(traction), ROUNDING * float(rounding)
+        largest_change, largest, term = reduce_array(self.jump.comm, maxima, MPI.MAX)
+        return float(largest_change), float(largest), ROUNDING * float(term)
 
     def in_equilibrium(self, x: Array, u: PETSc.Vec, c: Array) -> tuple[Array, float]:
         """Add the rigid displacements of floating bodies to u. Collective.
@@ -315,7 +319,8 @@ class DualProgram:
         r = self.gradient_of(u)
         if self.equilibrium is None:
             return r, 0.0
-        return r - self.constraints.columns @ c, self.equilibrium.add_rigid_displacements(x, u, c)
+        r = r - self.constraints.columns @ c
+        return r, self.equilibrium.add_rigid_displacements(x, u, c)
 
     def jump_of_tools(self, c: Array) -> Array:
         """Return G c (size,) for the motions of tools alone, which are not part of u."""
@@ -341,7 +346,8 @@ class DualProgram:
 
     def norm_of(self, u: fem.Function) -> float:
         """Return |u|_K = sqrt(a(u, u)). Collective."""
-        return float(np.sqrt(max(2.0 * self.jump.system.strain_energy(u.x.petsc_vec), 0.0)))
+        square = 2.0 * self.jump.system.strain_energy(u.x.petsc_vec)
+        return float(np.sqrt(max(square, 0.0)))
 
     def energies(self, x: Array, u: PETSc.Vec, c: Array, error: float = 0.0) -> tuple[float, float]:
         """Return the primal energy of u and the dual energy of x [energy]. Collective.
@@ -354,14 +360,17 @@ class DualProgram:
         system = self.jump.system
         force = system.K.createVecLeft()
         system.K.mult(u, force)
-        inside = np.where(system.prescribed, 0.0, u.array)
-        elastic = float(self.inner(inside, system.signs * force.array))
-        work = float(self.inner(np.where(system.moves, u.array, 0.0), system.f.x.petsc_vec.array))
+        not_prescribed = np.where(system.prescribed, 0.0, u.array)
+        elastic = float(self.inner(not_prescribed, system.signs * force.array))
+        free = np.where(system.moves, u.array, 0.0)
+        work = float(self.inner(free, system.f.x.petsc_vec.array))
         r = self.gradient_of(u) - self.jump_of_tools(c)
         work += float(self.constraints.values[self.of_tools] @ c[self.of_tools])
         friction = reduce_array(self.jump.comm, self.section_at(x, r).dissipation(r))
         energy = 0.5 * elastic - work
-        return energy + float(friction), energy - float(self.inner(x, r)) - 0.5 * error**2
+        primal = energy + float(friction)
+        dual = energy - float(self.inner(x, r)) - 0.5 * error**2
+        return primal, dual
 
 
 def relative_change(change: float, value: float, rounding: float = 0.0) -> float:

@@ -62,13 +62,21 @@ def with_tangents_along_axes(
     rows = np.stack([second - 1, second], axis=1)
     tangents = operators.tangents.copy()
     tangents[rows] = axes[node[second]]
-    # of each row the semi-diameter along its tangent, from the tangent's components along the axes
-    semi_axes = _semi_diameters(np.einsum("rai,ri->ra", axes[node], tangents), shape[node])
-    change = max(
-        np.abs(tangents - operators.tangents).max(initial=0.0),
-        np.abs(semi_axes - operators.semi_axes).max(initial=0.0),
-    )
-    if change <= ROUNDING:  # the vectors and semi-axes are of order 1
+    # of each row the semi-diameter 1 / |(d_1 / b_1, d_2 / b_2)| along its tangent, which has the
+    # components d along the axes, with the semi-axes b; (rows, 2)
+    d = np.einsum("rai,ri->ra", axes[node], tangents)
+    b = shape[node]
+    # a component d_i that is zero counts as zero where b_i is zero, too; any other one as infinite
+    nonzero = np.abs(d) > ROUNDING
+    scaled = np.zeros_like(b)
+    np.divide(d, b, out=scaled, where=nonzero & (b > 0.0))
+    reciprocals = np.linalg.norm(scaled, axis=1)
+    reciprocals[(nonzero & (b == 0.0)).any(axis=1)] = np.inf
+    reciprocals[circular[node]] = 1.0  # a circle has no axes, and d may be zero
+    semi_axes = 1.0 / reciprocals
+    turned = np.abs(tangents - operators.tangents).max(initial=0.0)
+    stretched = np.abs(semi_axes - operators.semi_axes).max(initial=0.0)
+    if max(turned, stretched) <= ROUNDING:  # the vectors and semi-axes are of order 1
         return operators
     return replace(operators, tangents=tangents, semi_axes=semi_axes)
 
@@ -79,7 +87,8 @@ def _axes(V: Any, operators: PairOperators, direction: Array, circular: Mask) ->
     The first axis is along the tangential part of the direction (n, 3). Where this part is zero, so
     are the axes, as at circles; at a node with tangents that is not `circular`, it is an error.
     """
-    axis = direction - dots(direction, operators.normals)[:, None] * operators.normals
+    along_normal = dots(direction, operators.normals)
+    axis = direction - along_normal[:, None] * operators.normals
     length, whole = np.linalg.norm(axis, axis=1), np.linalg.norm(direction, axis=1)
     has_tangents = np.zeros(len(length), dtype=np.bool_)
     has_tangents[operators.tangent_node] = True
@@ -104,24 +113,9 @@ def _axes(V: Any, operators: PairOperators, direction: Array, circular: Mask) ->
 
 def _vector_text(vector: Array) -> str:
     """Return a vector as text; components that are rounding are shown as zero."""
-    rounding = np.abs(vector) <= ROUNDING * np.abs(vector).max()
-    return f"({', '.join(f'{component:.4g}' for component in np.where(rounding, 0.0, vector))})"
-
-
-def _semi_diameters(direction: Array, shape: Array) -> Array:
-    """Return the semi-diameters 1 / |(d_1 / b_1, d_2 / b_2)| (n,) along unit vectors d.
-
-    The components of d along the axes are `direction` (n, 2); the semi-axes b are `shape` (n, 2).
-    """
-    # a component d_i that is zero counts as zero where b_i is zero, too; any other one as infinite
-    nonzero = np.abs(direction) > ROUNDING
-    scaled = np.zeros_like(shape)
-    np.divide(direction, shape, out=scaled, where=nonzero & (shape > 0.0))
-    reciprocals = np.linalg.norm(scaled, axis=1)
-    reciprocals[(nonzero & (shape == 0.0)).any(axis=1)] = np.inf
-    # at circles, which have no axes, `direction` may be zero
-    reciprocals[shape[:, 0] == shape[:, 1]] = 1.0
-    return np.asarray(1.0 / reciprocals)
+    is_rounding = np.abs(vector) <= ROUNDING * np.abs(vector).max()
+    components = [f"{component:.4g}" for component in np.where(is_rounding, 0.0, vector)]
+    return f"({', '.join(components)})"
 
 
 def friction_discs(node: LocalNumbers, semi_axes: Array, count: int) -> tuple[Array, Array, Mask]:
@@ -190,13 +184,12 @@ class SlipBounds:
                 number (or a vector) nor one value for each point; a direction is given in 2D; or a
                 number is negative by more than rounding, NaN, or an infinite coefficient.
         """
-        for name, scalars in _named_scalars(friction).items():
-            rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
-            for field, words in scalars:
+        for scalars in _named_scalars(friction).values():
+            for field, name in scalars:
                 if real(field) is None:  # not a plain number
-                    self.values.values_at(field, nodes, words)
+                    self.values.values_at(field, nodes, name)
                 else:
-                    self._bound(field, nodes, words, rounding)
+                    self._bound(field, nodes, name, stress_rounding)
         if friction.terms.curve is not None:
             zero = np.zeros(len(nodes))  # pressures and slips
             self.check_curve(friction.terms.curve, zero, zero)
@@ -223,14 +216,24 @@ class SlipBounds:
         terms = friction.terms
         bounds: dict[str, Array] = {}
         shape: Array = np.ones((len(nodes), 2))
-        for name, scalars in _named_scalars(friction).items():
-            rounding = COEFFICIENT_ROUNDING if name == "coefficient" else stress_rounding
-            values = np.stack(
-                [self._bound(field, nodes, words, rounding) for field, words in scalars], axis=1
-            )
-            bounds[name] = values.max(axis=1)
-            if len(scalars) == 2:
-                shape = self._shape(values, TERMS[name])
+        for term, scalars in _named_scalars(friction).items():
+            columns = [self._bound(field, nodes, name, stress_rounding) for field, name in scalars]
+            values = np.stack(columns, axis=1)
+            bounds[term] = longer = values.max(axis=1)
+            if len(scalars) == 2:  # an ellipse
+                infinite = np.isinf(values)
+                with errors_on_all_ranks(self._comm):
+                    if (infinite[:, 0] != infinite[:, 1]).any():
+                        raise InputError(
+                            f"{TERMS[term]} must be finite in both directions, or infinite in "
+                            "both, found infinity in one of them. Where surfaces hardly slide in "
+                            "one direction give a bound that is larger there by a factor such as "
+                            "100."
+                        )
+                # if both semi-axes are infinite, or zero, it is a circle
+                is_ellipse = np.isfinite(longer) & (longer > 0.0)
+                shape = np.ones_like(values)
+                shape[is_ellipse] = values[is_ellipse] / longer[is_ellipse, None]
         direction = None
         if terms.direction is not None:
             direction = self.values.values_at(terms.direction, nodes, DIRECTION, 3)
@@ -254,34 +257,19 @@ class SlipBounds:
                     f"{wrong.sum()} of the {len(values)} contact nodes of rank {self._comm.rank}."
                 )
 
-    def _shape(self, semi_axes: Array, name: str) -> Array:
-        """Return `NodalBounds.shape` (n, 2): semi-axes divided by each node's longer. Collective.
-
-        The shape is 1 if both semi-axes are infinite, or zero. A single infinite one is an error.
-        """
-        infinite = np.isinf(semi_axes)
-        with errors_on_all_ranks(self._comm):
-            if (infinite[:, 0] != infinite[:, 1]).any():
-                raise InputError(
-                    f"{name} must be finite in both directions, or infinite in both, found "
-                    "infinity in one of them. Where surfaces hardly slide in one direction give a "
-                    "bound that is larger there by a factor such as 100."
-                )
-        longer = semi_axes.max(axis=1, keepdims=True)
-        shape: Array = np.ones_like(semi_axes)
-        np.divide(semi_axes, longer, out=shape, where=np.isfinite(longer) & (longer > 0.0))
-        return shape
-
-    def _bound(self, field: ScalarField, nodes: LocalNumbers, name: str, rounding: float) -> Array:
+    def _bound(
+        self, field: ScalarField, nodes: LocalNumbers, name: str, stress_rounding: float
+    ) -> Array:
         """Return a term's values (n,) at nodes of this rank, if they are bounds. Collective.
 
-        NaN, an infinite coefficient and negative values are errors. But values above -`rounding`,
-        or within the rounding of the largest value, become zero.
+        NaN, an infinite coefficient and negative values are errors. But negative values become zero
+        if they are rounding, as `nodal_bounds` says.
         """
+        is_coefficient = name.startswith(TERMS["coefficient"])
         values = self.values.values_at(field, nodes, name)[:, 0]
         largest = values[np.isfinite(values)].max(initial=0.0)
         relative = COEFFICIENT_ROUNDING * self._comm.allreduce(float(largest), op=MPI.MAX)
-        least = -max(relative, rounding)
+        least = -max(relative, COEFFICIENT_ROUNDING if is_coefficient else stress_rounding)
         with errors_on_all_ranks(self._comm):
             bad = ~(values >= least)
             if bad.any():
@@ -290,6 +278,6 @@ class SlipBounds:
                     f"{name} must not be {fault}, found {values[bad][0]:g} "
                     f"at {bad.sum()} of the {len(nodes)} contact nodes of rank {self._comm.rank}."
                 )
-            if name.startswith(TERMS["coefficient"]) and np.isinf(values).any():
+            if is_coefficient and np.isinf(values).any():
                 raise InputError(f"{name} must be finite, found infinity.")
         return np.asarray(np.maximum(values, 0.0))

@@ -104,8 +104,8 @@ class Tools:
         """
         G = np.zeros((len(stress_scale), len(motions)))
         for column, motion in zip(G.T, motions, strict=True):
-            for rows in (by_pair[number] for number in motion.pairs):
-                pair = rows.operators
+            for number in motion.pairs:
+                rows, pair = by_pair[number], by_pair[number].operators
                 weighted = motion.displacement(pair.places) * pair.weights[:, None]
                 column[rows.normal] -= dots(weighted, pair.normals)[pair.normal_node]
                 column[rows.tangential] -= dots(weighted[pair.tangent_node], pair.tangents)
@@ -156,8 +156,9 @@ class Equilibrium:
 
     def resultants(self, f: PETSc.Vec) -> tuple[Array, float]:
         """Return e = factors * U'f (k,) of a load f, and its largest term sum. Collective."""
-        result, terms = (self.factors * values for values in self.bodies.resultants(f.array))
-        return result, float(terms.max(initial=0.0))
+        result, terms = self.bodies.resultants(f.array)
+        largest = (self.factors * terms).max(initial=0.0)
+        return self.factors * result, float(largest)
 
     def explain(self, deficit: FrictionDeficit) -> str:
         """Return a text on a body that friction cannot hold, for NO_FIXED_POINT. Collective."""
@@ -194,10 +195,10 @@ class FloatingBodies:
     @classmethod
     def none(cls, bodies: Bodies, comm: Any, dim: int, unknowns: int, size: int) -> FloatingBodies:
         """Return no floating bodies, for tools alone, with U (unknowns, 0) and G (size, 0)."""
-        none, components = np.empty(0), bodies.rigid_modes(dim).T[:, :0]
-        body, floats = none.astype(np.intp), none.astype(np.bool_)
-        modes = RigidBodyModes(comm, bodies, csr_array((0, 0)), none, floats, body, components)
-        return cls(modes, *(csr_array((rows, 0)) for rows in (unknowns, 0, size)))
+        components = bodies.rigid_modes(dim).T[:, :0]
+        stiffness, floats, body = np.empty(0), np.empty(0, np.bool_), np.empty(0, np.intp)
+        modes = RigidBodyModes(comm, bodies, csr_array((0, 0)), stiffness, floats, body, components)
+        return cls(modes, csr_array((unknowns, 0)), csr_array((0, 0)), csr_array((size, 0)))
 
     def with_tools(self, tools: Tools) -> FloatingBodies:
         """Return these bodies with the motions of tools after their modes. Not collective."""
@@ -214,7 +215,7 @@ class FloatingBodies:
         """
         of_bodies, of_tools = np.split(components, [len(components) - len(self.tool_motions)])
         # what nothing balances moves without end, and a tool that is balanced hardly at all
-        most, tool_most = (np.abs(values).max(initial=0.0) for values in (of_bodies, of_tools))
+        most, tool_most = np.abs(of_bodies).max(initial=0.0), np.abs(of_tools).max(initial=0.0)
         if not self.modes.comm.bcast(bool(tool_most > 1e-6 * most)):
             return self.modes.describe(of_bodies)
         amounts = np.linalg.norm(of_tools.reshape(len(of_tools), -1), axis=1)
@@ -233,7 +234,8 @@ class FloatingBodies:
         """
         # `sums` of components at each node; in mixed spaces, U = 0 and it adds up any unknowns
         U, dim = self.displacements, self.modes.dim
-        sums = kron(eye_array(-(-len(f) // dim)), np.ones((1, dim)), format="csr")[:, : len(f)]
+        nodes = -(-len(f) // dim)  # rounded up
+        sums = kron(eye_array(nodes), np.ones((1, dim)), format="csr")[:, : len(f)]
         lengths, forces = (sums @ U.power(2)).sqrt(), np.sqrt(sums @ f**2)
         terms: Array = reduce_array(self.modes.comm, lengths.T @ forces)
         result: Array = reduce_array(self.modes.comm, U.T @ f)
@@ -248,8 +250,11 @@ class FloatingBodies:
                 the message names the body and its motion, and the error's `motion` has the
                 displacements (owned degrees of freedom,) of all bodies.
         """
-        bodies = self._body_of_motion
-        tools = slice(len(bodies) - len(self.tool_motions), None)
+        # the body of each motion; motions of a tool have a number above those of bodies
+        bodies, tools = self.modes.body, slice(len(self.modes.body), None)
+        if self.tool_motions:
+            pairs = np.array([motion.pairs[0] for motion in self.tool_motions])
+            bodies = np.append(bodies, self.modes.bodies.count + pairs)
         # `carrying`: jumps in the rows whose multipliers Lambda lets act; `length`: their norms
         carries = feasible_set.project(np.ones(feasible_set.size)) != 0.0
         carrying = scaled_rows(self.jumps, carries.astype(np.float64))
@@ -258,17 +263,38 @@ class FloatingBodies:
         # compared for each body by itself, since jumps depend on the size and the mesh of a body
         largest = _largest_of_group(length, bodies)
         length[length <= np.sqrt(UNRESISTED_SQUARE) * largest] = 0.0
-        self._check_resisted(gram, length, largest, reductions)
+
+        # floating bodies and tools, whose stiffness is exactly 0 (`FixingSprings.response`), need
+        # contact that resists all their motions, here scaled to jumps of length 1
+        stiffness = self.stiffness.diagonal()
+        floats = np.flatnonzero(stiffness == 0.0)
+        lengths = np.where(length > 0.0, length, largest)[floats]
+        scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+        scaled = diags_array(scale) @ gram[floats][:, floats] @ diags_array(scale)
+        motions, further_bodies = _unresisted(csr_array(scaled), bodies[floats])
+        if motions.size:
+            components = np.zeros((len(length), motions.shape[1]))
+            components[floats] = scale[:, None] * motions
+            most = np.square(components).sum(axis=0).argmax()  # the largest motion
+            motion = reductions.from_first_rank(components[:, most])
+            nor = f"; nor {further_bodies} more" if further_bodies else ""
+            advice = " Leave this motion of a tool out of free=." if self.tool_motions else ""
+            raise MechanismError(
+                f"nothing holds {self.describe(components)}{nor}, "
+                "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
+                f"add a soft spring to a, or give the contact friction.{advice}",
+                self.displacements @ motion,
+            )
+
         # modes without such jumps are scaled by their stiffness, negative if K is unstable
-        resisted, k = self.stiffness.diagonal(), len(length)
-        factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(resisted)))
+        factors = 1.0 / np.where(length > 0.0, length, np.sqrt(np.abs(stiffness)))
         by_factor = diags_array(factors, format="csr")
         resultants, terms = self.resultants(load)
         resultants[tools] = [motion.force for motion in self.tool_motions]
         terms[tools] = np.abs(resultants[tools])
         own_terms = np.where(length > 0.0, factors * terms, 0.0)
         # bodies that touch the same nodes pass their loads on: they belong to one group
-        of_body = csr_array((np.ones(k), bodies, np.arange(k + 1)))
+        of_body = csr_array((np.ones(len(bodies)), bodies, np.arange(len(bodies) + 1)))
         group = connected_components(of_body.T @ abs(gram) @ of_body, directed=False)[1]
         constraints = EqualityConstraints(
             columns=csr_array(self.jumps @ by_factor),
@@ -278,44 +304,6 @@ class FloatingBodies:
             reductions=reductions,
         )
         return Equilibrium(self._balanced(constraints, factors, feasible_set), self, factors)
-
-    @property
-    def _body_of_motion(self) -> Indices:
-        """The body (k,) of each mode; motions of a tool have a number above those of bodies."""
-        if not self.tool_motions:
-            return self.modes.body
-        pairs = np.array([motion.pairs[0] for motion in self.tool_motions])
-        return np.append(self.modes.body, self.modes.bodies.count + pairs)
-
-    def _check_resisted(
-        self, gram: csr_array, length: Array, largest: Array, reductions: Reductions
-    ) -> None:
-        """Raise an error if contact resists a motion of floating bodies or tools too little.
-
-        Collective. `gram` (k, k) has the inner products of the modes' jumps in the rows that Lambda
-        lets act, and `length` (k,) their norms, or 0 if they are too small beside `largest` (k,),
-        the largest norm of the body. They are scaled by `length`, where it is 0 by `largest`.
-        """
-        # floating bodies and tools: `FixingSprings.response` sets their stiffness to exactly 0
-        floats = np.flatnonzero(self.stiffness.diagonal() == 0.0)
-        lengths = np.where(length > 0.0, length, largest)[floats]
-        scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
-        scaled = diags_array(scale) @ gram[floats][:, floats] @ diags_array(scale)
-        motions, further_bodies = _unresisted(csr_array(scaled), self._body_of_motion[floats])
-        if motions.size:
-            components = np.zeros((len(length), motions.shape[1]))
-            components[floats] = scale[:, None] * motions
-            most = np.square(components).sum(axis=0).argmax()  # the largest motion
-            motion = reductions.from_first_rank(components[:, most])
-            nor = f"; nor {further_bodies} more" * (further_bodies > 0)
-            raise MechanismError(
-                f"nothing holds {self.describe(components)}{nor}, "
-                "and no contact resists that. Fix part of the boundary with a Dirichlet condition, "
-                "add a soft spring to a, or give the contact friction."
-                + " Leave this motion of a tool out of free=."
-                * bool(self.tool_motions),
-                self.displacements @ motion,
-            )
 
     def _balanced(
         self, constraints: EqualityConstraints, factors: Array, feasible_set: FeasibleSet

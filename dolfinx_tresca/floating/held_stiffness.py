@@ -42,13 +42,26 @@ class HeldStiffness:
 
         The caller owns the solver. With a mixed space, rigid modes are looked for once: later, the
         displacements' block of K may be indefinite, and pivots tell if bodies are held.
+
+        Raises:
+            InputError: contact alone holds a body, and the space is mixed.
         """
         linear, request = self._linear, self._request
         with timed("stiffness", timings):
             linear.assemble_stiffness()
             if self._modes is None or linear.component is None:
                 self._modes = rigid_modes.weakly_resisted_modes(linear, self.bodies)
-        springs = rigid_modes.fixing_springs(self._modes, linear)
+        modes, springs = self._modes, None
+        if modes and linear.component is None:
+            springs = rigid_modes.FixingSprings(modes)
+        # in a mixed space, softly held bodies get no springs: K needs no positive pivots there
+        elif modes and modes.floats.any():
+            body = self.bodies.describe(int(modes.body[modes.floats.argmax()]))
+            raise InputError(
+                "bodies that contact alone holds need the form a of the displacement alone, but it "
+                f"is that of a mixed space, and nothing holds {body}. "
+                "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
+            )
         with timed(self.method, timings):
             K = springs.added_to(linear.K) if springs else linear.K
             given = request.petsc_options or {}, request.prefix
@@ -63,7 +76,8 @@ class HeldStiffness:
             floating = np.unique(modes.body[modes.floats])
             softly_held = np.setdiff1d(modes.body, floating)
             for bodies, how in ((floating, "by contact alone"), (softly_held, "softly")):
-                text += f", {len(bodies)} of them held {how}" * bool(len(bodies))
+                if len(bodies):
+                    text += f", {len(bodies)} of them held {how}"
         return text
 
     def check_suits(self, options: SolverOptions) -> None:

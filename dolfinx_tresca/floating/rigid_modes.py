@@ -16,7 +16,6 @@ from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Mask, splitmix
 from dolfinx_tresca._base.bodies import Bodies, couples_bodies
 from dolfinx_tresca._base.parallel import RankReductions, reduce_array
 from dolfinx_tresca._base.petsc import product, sparse_matrix
-from dolfinx_tresca.errors import InputError
 from dolfinx_tresca.solvers.constraints import eigenpairs
 from dolfinx_tresca.stiffness.solver import StiffnessSolver, indefinite_error
 
@@ -71,8 +70,8 @@ class RigidBodyModes:
         # the share of a translation or rotation is its squared part in the span of the motions
         axes, extents, _ = np.linalg.svd(motions[chosen], full_matrices=False)
         shares = np.square(axes[:, extents > 1e-3 * extents[0]]).sum(axis=1)
-        turns = ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
-        names = (*(f"translation along {axis}" for axis in "xyz"[: self.dim]), *turns)
+        names = [f"translation along {axis}" for axis in "xyz"[: self.dim]]
+        names += ["rotation"] if self.dim == 2 else [f"rotation about {axis}" for axis in "xyz"]
         free = [name for name, share in zip(names, shares, strict=True) if share > NAMED_PART]
         text = self.bodies.describe(chosen, moving[moving != chosen].tolist())
         # ranks may differ by rounding
@@ -97,8 +96,20 @@ def weakly_resisted_modes(system: Any, bodies: Bodies) -> RigidBodyModes:
     weight = diags_array(np.where(prescribed, largest[label], 1.0))
     energy = sums.sparse_inner(modes, csr_array(weight @ forces))
     free = csr_array(diags_array(np.where(prescribed, 0.0, 1.0)) @ modes)
-    gram = sums.sparse_inner(free, free)
-    body, resistance, components = comm.bcast(_stationary(gram, energy, bodies.count))
+    # `components` in the modes of motions that are orthonormal on free degrees of freedom; motions
+    # that move no free degree of freedom are left out
+    squares, vectors = eigenpairs(sums.sparse_inner(free, free))
+    squares = squares.reshape(bodies.count, -1)  # of lengths, 3 or 6 for each body
+    independent = squares > 1e-10 * squares.max(axis=1, keepdims=True)
+    body, column = np.nonzero(independent)
+    lengths = np.sqrt(squares[body, column])
+    components = vectors[:, independent.ravel()] @ diags_array(1.0 / lengths)
+    # the motions x of each body at which x'R'K R x is stationary, and K's resistance against them
+    resistance: Array = np.empty(0)
+    if len(body):
+        resistance, turned = eigenpairs(csr_array(components.T @ energy @ components))
+        components = csr_array(components @ turned)
+    body, resistance, components = comm.bcast((body, resistance, components))
 
     # a body's own stiffness against motions of length 1 in its degrees of freedom: E L^(dim-2) by
     # its N = (L/h)^dim nodes, where K's diagonal is about E h^(dim-2)
@@ -142,29 +153,6 @@ def _largest_entries(diagonal: Array, free: Mask, bodies: Bodies, comm: Any) -> 
             f"{bodies.describe(body)}"
         )
     return np.where(largest > 0.0, largest, 1.0)
-
-
-def _stationary(gram: csr_array, energy: csr_array, count: int) -> tuple[Indices, Array, csr_array]:
-    """Return the rigid motions x of each body at which x'R'K R x / x'R'R x is stationary.
-
-    Here R are all m rigid body modes of the `count` bodies, one body's after the other's. `gram`
-    (m, m) is R'R on free degrees of freedom, and `energy` (m, m) is R'K R.
-
-    Returns:
-        the body (k,) of each motion, ascending (if K couples bodies, one of these); the stiffness
-        (k,) against it; and the components (m, k) of the motions in the modes, orthonormal on free
-        degrees of freedom. Motions that move no free degree of freedom are left out.
-    """
-    # motions that are orthonormal on free degrees of freedom; (bodies, 3 or 6) squared lengths
-    values, vectors = eigenpairs(gram)
-    squares = values.reshape(count, -1)
-    independent = squares > 1e-10 * squares.max(axis=1, keepdims=True)
-    body, column = np.nonzero(independent)
-    unit = vectors[:, independent.ravel()] @ diags_array(1.0 / np.sqrt(squares[body, column]))
-    if len(body) == 0:
-        return body, np.empty(0), unit
-    stiffness, turned = eigenpairs(csr_array(unit.T @ energy @ unit))
-    return body, stiffness, csr_array(unit @ turned)
 
 
 #: Mean number of a body's nodes on which fixing springs act. (Too few to hold a body are drawn once
@@ -221,11 +209,6 @@ class FixingSprings:
         result.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return result
 
-    def energy(self, u: PETSc.Vec) -> float:
-        """Return twice the energy [energy] of the springs under a displacement. Collective."""
-        stretch = reduce_array(self.modes.comm, self.columns.T @ u.array)
-        return float(stretch @ stretch)
-
     def response(self, K: PETSc.Mat, solver: StiffnessSolver) -> tuple[csr_array, csr_array]:
         """Return displacements that forces of the springs alone cause, and stiffness. Collective.
 
@@ -239,17 +222,8 @@ class FixingSprings:
         modes, k = self.modes, len(self.modes)
         if modes.floats.all():
             return modes.basis, csr_array((k, k))
-        V = self._resisted_displacements(K, solver)
-        # the stiffness as R'Z Z'V, since the equal R'K R - (K R)'V would be a small difference of
-        # large terms; Z'R is the square root of `RigidBodyModes.stiffness`
-        springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
-        resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
-        return csr_array(modes.basis - V), csr_array(0.5 * (resisted + resisted.T))
-
-    def _resisted_displacements(self, K: PETSc.Mat, solver: StiffnessSolver) -> csr_array:
-        """Return V = R - U = K_p^-1 K R (owned degrees of freedom, k), sparse. Collective."""
-        modes, k = self.modes, len(self.modes)
-        # forces of equal size on all bodies, since the accuracy is relative to the whole answer
+        # V = R - U = K_p^-1 K R (owned degrees of freedom, k), sparse; its forces K R are of equal
+        # size on all bodies, since the accuracy of a solve is relative to the whole answer
         forces = product(K, modes.basis)
         norms = np.sqrt(reduce_array(modes.comm, forces.power(2).sum(axis=0)))
         norms[norms == 0.0] = 1.0
@@ -257,10 +231,12 @@ class FixingSprings:
         # the body of each row (`on_body`), unless K couples bodies, as springs between them do
         soft, body, n = ~modes.floats, modes.body, forces.shape[0]
         label = np.repeat(modes.bodies.label, modes.dim)
-        on_body = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))[:, body]
-        number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
         if couples_bodies(K, label):
             on_body, number_on_body = np.ones((n, k)), np.arange(k)
+        else:
+            on_body = csr_array((np.ones(n), label, np.arange(n + 1)), (n, modes.bodies.count))
+            on_body = on_body[:, body]
+            number_on_body = np.searchsorted(body, body, side="right") - np.arange(k)
         force, answer = K.createVecLeft(), K.createVecRight()
         V = csr_array(modes.basis.shape)
         for number in np.unique(number_on_body[soft]):
@@ -269,22 +245,8 @@ class FixingSprings:
             answer.set(0.0)
             solver.improve(force, answer, rtol=1e-10, accuracy=0.0)
             V = V + csr_array(diags_array(answer.array) @ on_body @ diags_array(chosen * norms))
-        return V
-
-
-def fixing_springs(modes: RigidBodyModes, system: Any) -> FixingSprings | None:
-    """Return springs that fix floating and softly held bodies; None if no body needs springs.
-
-    Not collective. In a mixed space, a floating body raises an error, and softly held bodies get no
-    springs, since the factorisation of K does not need positive pivots there.
-    """
-    if system.component is None or not modes:
-        return FixingSprings(modes) if modes else None
-    if modes.floats.any():
-        body = modes.bodies.describe(int(modes.body[modes.floats.argmax()]))
-        raise InputError(
-            "bodies that contact alone holds need the form a of the displacement alone, but it is "
-            f"that of a mixed space, and nothing holds {body}. "
-            "Hold it by Dirichlet conditions, or by springs in a, of 1e-6 of its stiffness."
-        )
-    return None
+        # the stiffness as R'Z Z'V, since the equal R'K R - (K R)'V would be a small difference of
+        # large terms; Z'R is the square root of `RigidBodyModes.stiffness`
+        springs = np.where(modes.floats, 0.0, np.sqrt(modes.stiffness))
+        resisted = diags_array(springs) @ RankReductions(modes.comm).sparse_inner(self.columns, V)
+        return csr_array(modes.basis - V), csr_array(0.5 * (resisted + resisted.T))
