@@ -25,7 +25,7 @@ from dolfinx_tresca.pairing.coupling import corners_that_carry, couple
 from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owners_flags, owns, with_neighbours
+from dolfinx_tresca.pairing.pieces import halos, owners_flags, owns, with_neighbours
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed, groups_of
 from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
@@ -128,9 +128,11 @@ def _overlap_integrals(
         return np.asarray(pair_of_facets >= 0)
 
     with errors_on_all_ranks(comm):
-        selected, limit = at_own_nodes(V, facets), pair.search_limit
+        # this rank integrates over the facets with a corner that it owns
+        selected = np.flatnonzero(owns(V, facets.nodes[:, : facets.corners]).any(axis=1))
         order = SelfContact(facets) if pair.touches_itself else None
         may_meet = tags_may_meet if order is None else order.may_meet
+        limit = pair.search_limit
         integrals = MortarIntegrals(nodes, primary_nodes, selected, limit, may_meet, order)
         shared = np.isin(nodes.numbers, primary.nodes)
         if order is not None:
@@ -168,28 +170,23 @@ def _surface_nodes(
 ) -> SurfaceNodes:
     """Return the nodes of a side; check their normals and, undeformed, warn of tears. Collective.
 
-    `halo` are all facets of the side that the pairing on this rank depends on.
+    `halo` are all facets of the side that the pairing on this rank depends on. The surface is torn
+    where two nodes are at one place. Nodes that facets with other tags share do not count: nodes of
+    adjacent bricks may coincide.
     """
-    with errors_on_all_ranks(V.mesh.comm):
+    comm, tags = V.mesh.comm, pair.facet_tags
+    with errors_on_all_ranks(comm):
         nodes = SurfaceNodes(halo)
-        has_no_normal = owns(V, nodes.numbers) & nodes.has_no_normal
+        own = owns(V, nodes.numbers)
+        has_no_normal = own & nodes.has_no_normal
         if has_no_normal.any():
             raise PairingError(
                 f"the surface {pair.side(side)} ({side} side) has no normal at "
                 f"{shown_place(nodes.points[has_no_normal][0])}: the normals of the facets around "
                 "that node cancel. Repair the mesh there."
             )
-    if not displaced and not pair.touches_itself:
-        _warn_if_torn(V, pair, side, nodes)
-    return nodes
-
-
-def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes) -> None:
-    """Warn if two nodes of a side are at one place, since the surface is torn there. Collective.
-
-    Nodes that facets with other tags share do not count: nodes of adjacent bricks may coincide.
-    """
-    comm, tags, own = V.mesh.comm, pair.facet_tags, owns(V, nodes.numbers)
+    if displaced or pair.touches_itself:
+        return nodes
     outside = tags.indices[tags.values != getattr(pair, side)]
     outside = fem.locate_dofs_topological(V, tags.dim, outside)
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
@@ -208,3 +205,4 @@ def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes
             *(pair.side(side), side, coincident),
             about=pair.side(side),
         )
+    return nodes
