@@ -150,8 +150,7 @@ class SmoothSurface:
         heights = 0.5 * (end - start) / stretch * smooth[:, None]
         sizes = np.ptp(self._corners, axis=1).max(axis=1)
         rounding = (MESH_ROUNDING + self.facets.rounding) * sizes
-        largest = np.abs(heights).max(axis=1, initial=0.0)
-        has_height = bool((largest > rounding).any())
+        has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
         return np.asarray(heights * (has_height and not self.facets.bent))
 
     def _slopes(self) -> tuple[Array, Array]:
@@ -301,8 +300,7 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     # all pairs of two corners of a facet: a neighbour counts once for each facet that has both
     node = np.repeat(nodes.facet_nodes, corners, axis=1).ravel()
     neighbour = np.tile(nodes.facet_nodes, corners).ravel()
-    is_pair = node != neighbour
-    node, neighbour = node[is_pair], neighbour[is_pair]
+    node, neighbour = node[node != neighbour], neighbour[node != neighbour]
     x_axis, y_axis = tangents(nodes.normals).swapaxes(0, 1)
     offset = nodes.points[neighbour] - nodes.points[node]
     # the fit is in units of the distance of neighbours, along tangents and the mean normal

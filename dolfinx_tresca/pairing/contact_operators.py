@@ -236,11 +236,8 @@ class ContactOperators:
         cell = mesh.basix_cell()
         elements = [basix.ufl.element("Lagrange", cell, 1, shape=shape) for shape in shapes]
         with errors_on_all_ranks(self.comm):
-            if (
-                not isinstance(function, fem.Function)
-                or function.function_space.mesh != mesh
-                or function.ufl_element() not in elements
-            ):
+            on_mesh = isinstance(function, fem.Function) and function.function_space.mesh == mesh
+            if not (on_mesh and function.ufl_element() in elements):
                 vector = "" if scalar else f" or a vector of {dim} components"
                 raise InputError(
                     "the field must be a Function of Lagrange elements of degree 1 on the mesh of "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 from mpi4py import MPI
 
@@ -139,27 +139,20 @@ def nodes_with_multipliers(
                 "surface that may touch it. Reverse it if the tag is right and the body has not "
                 "passed the obstacle."
             )
-    if eligible == 0 or pair.sliding != "finite":
-        _raise_unpaired(pair, total, total - paired, prescribed, common, hint)
-    log(
-        comm,
-        "pairing: %s: no node that could carry a multiplier faces the other.%s",
-        *(pair, hint),
-        level=logging.WARNING if hint else logging.INFO,
-        about=str(pair),
-    )
-    return np.flatnonzero(carries)
-
-
-def _raise_unpaired(
-    pair: ContactPair, total: int, unpaired: int, prescribed: int, common: int, hint: str
-) -> NoReturn:
-    """Raise the error that says why no node carries a multiplier, from counts of nodes."""
+    if eligible > 0 and pair.sliding == "finite":
+        log(
+            comm,
+            "pairing: %s: no node that could carry a multiplier faces the other.%s",
+            *(pair, hint),
+            level=logging.WARNING if hint else logging.INFO,
+            about=str(pair),
+        )
+        return np.flatnonzero(carries)
     secondary, primary = pair.side("secondary"), pair.side("primary")
-    if unpaired < total:
+    if paired > 0:
         raise PairingError(
             f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {unpaired} do not face the primary side ({primary}), {prescribed} are "
+            f"nodes {total - paired} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
     limited = pair.search_distance is not None
@@ -226,8 +219,7 @@ def couple(
     kept = nodes_with_multipliers(V, pair, nodes, unpaired, shared)
     if primary is not None:
         # functions of the dual basis are negative in part: a mean may be less than all distances
-        least = nodes.reduced(np.minimum, integrals.least[:, None], np.inf)
-        gap[:] = np.maximum(gap, least)
+        gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not (displaced or facets.has_exact_surface):
             _warn_of_close_fit(comm, str(pair), gap[kept], sagitta[kept])
     # the share of each pair of the group in a node's area, from the areas of overlaps
@@ -246,8 +238,7 @@ def couple(
     frictionless = np.array([isinstance(law, Frictionless) for law in laws])[owner]
     normals, free, numbers = normals[kept, :dim], nodes.free[kept], nodes.numbers[kept]
     prescribed = np.linalg.norm(normals * free, axis=1) <= FACING_COSINE
-    jump = (own - opposite)[kept]
-    opposite = opposite[kept]
+    jump, opposite = (own - opposite)[kept], opposite[kept]
     friction_acts = free
     if primary is not None:
         friction_acts = free | _primary_is_free(opposite, primary) & ~bonded[:, None]
@@ -395,8 +386,7 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     result = np.repeat((entries > 0)[:, None], facets.free.shape[2], axis=1)
     for axis in range(facets.free.shape[2]):
         prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
-        is_prescribed = counts & np.isin(primary.indices, prescribed)
-        result[row[is_prescribed], axis] = False
+        result[row[counts & np.isin(primary.indices, prescribed)], axis] = False
     return result
 
 

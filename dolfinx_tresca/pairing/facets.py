@@ -280,11 +280,9 @@ def _solve(matrix: Array, right: Array) -> Array:
         if matrix.shape[1] == 1:
             result = right / matrix[:, 0]
         else:  # Cramer's rule
-            a, b = matrix[:, 0].T
-            c, d = matrix[:, 1].T
+            (a, b), (c, d) = np.moveaxis(matrix, 0, 2)
             x, y = right.T
-            determinant = a * d - b * c
-            result = np.stack([d * x - b * y, a * y - c * x], axis=1) / determinant[:, None]
+            result = np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None]
     return np.nan_to_num(np.asarray(result), nan=0.0, posinf=0.0, neginf=0.0)
 
 

@@ -258,8 +258,7 @@ class MortarIntegrals(FacetIntegrals):
         cut = _CutOverlaps(self, secondary, primary)
         seen = self._seen_weights(cut, limit)
         # where the roles are exchanged, points cover the piece, but are not integrated over
-        weight = seen
-        is_exchanged = np.zeros(len(primary), dtype=np.bool_)
+        weight, is_exchanged = seen, np.zeros(len(primary), dtype=np.bool_)
         if self._order is not None:
             is_primary = ~self._order.is_secondary(cut.facet, cut.partner)[cut.pair_of_point]
             is_exchanged[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
@@ -267,12 +266,10 @@ class MortarIntegrals(FacetIntegrals):
         means, q = self._quantities(cut), len(self._weights)
         # least distance over each simplex that has weight
         least = (means[:, 0].reshape(-1, q) @ self._to_grid).min(axis=1)
-        has_weight = (weight.reshape(-1, q) > 0.0).any(axis=1)
-        least[~has_weight] = np.inf
+        least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
         # sums over each of the pairs that overlap: its simplices follow each other from a start on
         pairs, starts = np.unique(cut.pair, return_index=True)
-        piece = secondary[pairs]
-        area = np.add.reduceat(weight, starts * q)
+        piece, area = secondary[pairs], np.add.reduceat(weight, starts * q)
         seen_area = np.bincount(piece, np.add.reduceat(seen, starts * q), minlength=len(limit))
         covered: Mask = seen_area >= (1.0 - MISMATCH) * self._area
         added = covered[piece] if covered_only else np.ones(len(pairs), dtype=np.bool_)
@@ -300,8 +297,7 @@ class MortarIntegrals(FacetIntegrals):
         np.add.at(self._covered, piece[added], area[added])
         both: Indices = np.column_stack([cut.facet, cut.partner])[pairs]
         paired, exchanged = added & (area > 0.0), added & is_exchanged[pairs]
-        partner = products(cut.primary.values)[paired]
-        self._overlaps.append((both[paired], partner, both[exchanged]))
+        self._overlaps.append((both[paired], products(cut.primary.values)[paired], both[exchanged]))
         return covered
 
     def _seen_weights(self, cut: _CutOverlaps, limit: Array) -> Array:
@@ -443,44 +439,36 @@ def obstacle_integrals(
         spread = facets.points[:, : facets.corners] - centres[:, None]
         turns *= dots(spread, at_corners - at_centres[:, None]).sum(axis=1) > 0.0
         near = _see_between_nodes(obstacle, nodes, surface, turns, integrals)
-    if not displaced:
-        # the least distance that nodes see, or means over the facets around them
-        seen = integrals.least.copy()
-        gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
-        areas = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
-        corners = nodes.facet_nodes[near]
-        seen[near] = (gaps[corners] / areas[corners]).min(axis=1, initial=np.inf)
-        front = np.flatnonzero(facing)
-        with errors_on_all_ranks(comm):
-            points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
-            depth = -_at(obstacle, points)[0].min(axis=1, initial=0.0)
-        extent = np.abs(points).max(initial=0.0)
-        _warn_of_unseen(comm, pair, depth, np.maximum(-seen[front], 0.0), turns[front], extent)
-    return nodes, integrals, faces
-
-
-def _warn_of_unseen(
-    comm: MPI.Comm, pair: ContactPair, depth: Array, seen: Array, turns: Array, extent: float
-) -> None:
-    """Warn if an obstacle enters facets (n,) farther than the mesh sees. Collective.
-
-    `depth` (n,) is how far it enters, `seen` (n,) the depth at nodes, or of means around them, and
-    `extent` the largest coordinate [length]; `turns` (n,) is how far its normal turns [rad].
-    """
-    greatest = [array.max(initial=0.0) for array in (depth, depth - seen, turns * (depth > 0.0))]
-    deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
+    if displaced:
+        return nodes, integrals, faces
+    # warn if the obstacle enters facets farther than the mesh sees: what it sees is the least
+    # distance at nodes, or of means over the facets around them
+    seen = integrals.least.copy()
+    gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
+    areas = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
+    corners = nodes.facet_nodes[near]
+    seen[near] = (gaps[corners] / areas[corners]).min(axis=1, initial=np.inf)
+    front = np.flatnonzero(facing)
+    with errors_on_all_ranks(comm):
+        points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
+        depth = -_at(obstacle, points)[0].min(axis=1, initial=0.0)
+    unseen = depth - np.maximum(-seen[front], 0.0)
+    entered_turns = turns[front] * (depth > 0.0)
+    greatest = [array.max(initial=0.0) for array in (depth, unseen, entered_turns, np.abs(points))]
+    deepest, most_unseen, angle, extent = reduce_array(comm, greatest, MPI.MAX)
     rounding = ROUNDING * extent
     is_coarse = angle > COARSE_ANGLE and deepest > rounding
-    if is_coarse or unseen > max(UNSEEN_PART * deepest, rounding):
+    if is_coarse or most_unseen > max(UNSEEN_PART * deepest, rounding):
         warn(
             comm,
             "contact pair %s: the obstacle enters facets by up to %.3g, and the mesh does not "
             "see %.3g of it; its normal turns by %.0f degrees over a facet: forces are "
             "inaccurate, and may be zero. Use facets a third as large as the radius of the "
             "obstacle.",
-            *(pair, deepest, unseen, math.degrees(angle)),
+            *(pair, deepest, most_unseen, math.degrees(angle)),
             about=str(pair),
         )
+    return nodes, integrals, faces
 
 
 def _at(obstacle: RigidObstacle, points: Array) -> tuple[Array, Array]:

@@ -85,21 +85,36 @@ def _pair(
     else:
         nodes, primary, integrals, shared = _overlap_integrals(V, group, sides, displaced)
         carries = corners_that_carry(V, nodes, integrals, shared)
-    group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, displaced)
+    operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, displaced)
     if not displaced and pair.pairing == "nodes" and primary is not None:
-        _check_meshes_match(V, pair, group_operators, nodes)
+        # On matching meshes the mean over each side is the value of a single node, with the weight
+        # 1. At a distance of t facets its weight is 1 - t: sums of squares differ by 2 t.
+        squares = operators.secondary.power(2) - operators.primary.power(2)
+        differ = np.abs(squares.sum(axis=1))
+        apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
+        away = operators.nodes[apart]
+        number = comm.allreduce(len(np.unique(away)))
+        if number > 0:
+            place = row_of_least(comm, -differ[apart], V.tabulate_dof_coordinates()[away])
+            raise PairingError(
+                f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: '
+                f"{number} nodes of the secondary side ({pair.side('secondary')}) face the primary "
+                f"side ({pair.side('primary')}) away from its nodes, most of all at "
+                f"{shown_place(place)}. Mesh both surfaces alike, or leave out the argument: "
+                "mortar pairing needs no matching meshes."
+            )
     if not displaced and len(group.pairs) > 1:
-        areas = reduce_array(comm, group_operators.shares.sum(axis=0))
+        areas = reduce_array(comm, operators.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
             if area == 0.0 and single.sliding == "small":
                 raise PairingError(
                     f"the surfaces of contact pair {single} do not face each other. Check the tags"
                     f"{'' if pair.search_distance is None else ' and the search distance'}."
                 )
-        group.say_laws(comm, group_operators.shares)
-    owner = group.owners(group_operators.shares)
+        group.say_laws(comm, operators.shares)
+    owner = group.owners(operators.shares)
     return [
-        replace(group_operators.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
+        replace(operators.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
         for k, single in enumerate(group.pairs)
     ]
 
@@ -140,29 +155,6 @@ def _overlap_integrals(
     if order is not None:
         shared = owners_flags(V, nodes.numbers, shared)
     return nodes, primary, integrals, shared
-
-
-def _check_meshes_match(
-    V: Any, pair: ContactPair, operators: PairOperators, nodes: SurfaceNodes
-) -> None:
-    """Raise PairingError unless each contact node is opposite to a primary node. Collective.
-
-    On matching meshes the mean over each side is the value of a single node, with the weight 1. At
-    a distance of t facets from a primary node its weight is 1 - t: sums of squares differ by 2 t.
-    """
-    differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
-    apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
-    away = operators.nodes[apart]
-    count = V.mesh.comm.allreduce(len(np.unique(away)))
-    if count > 0:
-        place = row_of_least(V.mesh.comm, -differ[apart], V.tabulate_dof_coordinates()[away])
-        raise PairingError(
-            f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {count} '
-            f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
-            f"({pair.side('primary')}) away from its nodes, most of all at "
-            f"{shown_place(place)}. Mesh both surfaces alike, or leave out the argument: mortar "
-            "pairing needs no matching meshes."
-        )
 
 
 def _surface_nodes(

@@ -135,8 +135,7 @@ class Pieces:
             while len(lines):
                 x = centres[lines] + place[lines, None] * normals[lines]
                 r = reach[lines]
-                d, _ = tree.query(x)
-                clear = np.sqrt(np.maximum(d**2 - r**2, 0.0))
+                clear = np.sqrt(np.maximum(tree.query(x)[0] ** 2 - r**2, 0.0))
                 near = clear <= r
                 lists = tree.query_ball_point(x[near], np.sqrt(2.0) * r[near] * (1.0 + 1e-9))
                 line, member = flattened(lists)
@@ -206,8 +205,7 @@ def owns(V: Any, nodes: GlobalNumbers) -> Mask:
 
 def owners_flags(V: Any, nodes: GlobalNumbers, flags: Mask) -> Mask:
     """Return for each node the flag (n,) of its owner, which has all facets at it. Collective."""
-    flagged = nodes[flags & owns(V, nodes)]
-    return np.isin(nodes, gather_rows(V.mesh.comm, flagged))
+    return np.isin(nodes, gather_rows(V.mesh.comm, nodes[flags & owns(V, nodes)]))
 
 
 def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
@@ -258,8 +256,7 @@ def near_lines(
         line, piece = pieces.on_normals(
             lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
         )
-        met = np.column_stack([pieces.facet[piece], source[block][line]])
-        pairs.append(np.unique(met, axis=0))
+        pairs.append(np.unique(np.column_stack([pieces.facet[piece], source[block][line]]), axis=0))
     facet, sender = np.concatenate(pairs).T
     return _sent(comm, owned, facet, sender)
 
@@ -274,8 +271,7 @@ def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facet
         records[name] = array
     # pairs of facet and rank as single numbers, each once, with the pairs of the own rank
     kept = np.arange(count) * comm.size + comm.rank
-    pairs = np.union1d(kept, facet * comm.size + rank)
-    facet, rank = np.divmod(pairs, comm.size)
+    facet, rank = np.divmod(np.union1d(kept, facet * comm.size + rank), comm.size)
     rows, _ = exchange(comm, records[facet], rank)
     received: dict[str, Any] = {name: rows[name].copy() for name in FACET_ARRAYS}
     return replace(owned, **received)

@@ -329,9 +329,8 @@ def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]
         return sides
     try:
         with errors_on_all_ranks(V.mesh.comm), open_geometry(geometry or {}) as surfaces:
-            dim = V.mesh.geometry.dim
             return [
-                replace(facets, offsets=_offsets_of_tags(facets, tags, surfaces, dim, limit))
+                replace(facets, offsets=_offsets_of_tags(facets, tags, surfaces, limit))
                 for facets, tags in zip(sides, tags_of_sides, strict=False)
             ]
     except (InputError, MeshError) as error:
@@ -349,11 +348,7 @@ def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]
 
 
 def _offsets_of_tags(
-    facets: Facets,
-    tags: Sequence[int],
-    surfaces: Mapping[int, ExactSurface],
-    dim: int,
-    limit: float,
+    facets: Facets, tags: Sequence[int], surfaces: Mapping[int, ExactSurface], limit: float
 ) -> Array:
     """Return the `Facets.offsets` (n, q, 3) to the exact surfaces of tags, NaN where there is none.
 
@@ -365,7 +360,7 @@ def _offsets_of_tags(
             continue
         index = np.flatnonzero(facets.tag_index == k)
         of_tag = facets.selected(index)
-        result[index] = _offsets(of_tag, tag, surfaces[tag].projections, dim)
+        result[index] = _offsets(of_tag, tag, surfaces[tag].projections)
         sizes = np.ptp(of_tag.points, axis=1).max(axis=1)
         away = np.linalg.norm(result[index, : facets.corners], axis=2).max(axis=1)
         relative = (away / sizes).max(initial=0.0)
@@ -379,7 +374,7 @@ def _offsets_of_tags(
     return result
 
 
-def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
+def _offsets(facets: Facets, tag: int, projections: Sequence[Projection]) -> Array:
     """Return the `Facets.offsets` of facets from projections onto the patches of one surface.
 
     A facet belongs to the patch nearest to its corners; of equally near ones, to its centre.
@@ -389,7 +384,8 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: i
     def offsets(projection: Projection, points: Array) -> Array:
         """Return vectors (..., 3) from points to projections; equal points are projected once."""
         places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
-        steps = project_points(places, f"geometry[{tag}]", projection, dim) - places
+        name, dim = f"geometry[{tag}]", facets.free.shape[2]
+        steps = project_points(places, name, projection, dim) - places
         return np.asarray(steps[index.ravel()].reshape(points.shape))
 
     if len(projections) == 1:

@@ -71,8 +71,7 @@ class Visibility:
         result, in_one_body = np.zeros((2, len(piece)), dtype=np.bool_)
         if self._body is not None:
             in_one_body = self._body[piece] == self._body[partner]
-        touch = NEGLIGIBLE * self._pieces.radii[piece]
-        length = np.abs(end - start)
+        touch, length = NEGLIGIBLE * self._pieces.radii[piece], np.abs(end - start)
         apart = np.flatnonzero(length > touch)
         if len(apart) == 0:
             return result
@@ -113,9 +112,9 @@ class Visibility:
     ) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
         """Yield where lines through points, along the normals of their pieces, cross facets.
 
-        The facets are those of the points' `own` side, or of the other side, that may hide a point
-        (`_may_hide`). For `piece` (n,) and `places` (n, d) see `hidden`; crossings farther from the
-        plane than `reach` (n,) [length] do not matter, and may be missing.
+        The facets are those of the points' `own` side, or of the other side, that may hide a point.
+        For `piece` (n,) and `places` (n, d) see `hidden`; crossings farther from the plane than
+        `reach` (n,) [length] do not matter, and may be missing.
 
         Yields:
             for a block of m crossings: the points; the facets, as pieces of their side; the heights
@@ -128,7 +127,24 @@ class Visibility:
             pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
             np.maximum.reduceat(reach, starts) + pieces.radii[targets],
         )  # fmt: skip
-        keep = self._may_hide(own, targets[line], facet)
+        # primary facets whose normals are opposed hide nothing, since segments end there
+        target = targets[line]
+        normal, its_normal = pieces.normals[target], side.normals[facet]
+        cosine = dots(normal, its_normal)
+        keep: Mask = cosine > NEGLIGIBLE
+        if own:
+            # facets hide nothing if a segment crosses them at its own start: the piece itself,
+            # facets in its plane, and facets with a common node and a similar normal
+            height = np.abs(dots(side.centres[facet] - pieces.centres[target], normal))
+            height += side.radii[facet] * np.linalg.norm(normal - its_normal, axis=1)
+            keep &= height > NEGLIGIBLE * pieces.radii[target]
+            similar = np.flatnonzero(keep)
+            nodes, its_nodes = pieces.nodes[target[similar]], side.nodes[facet[similar]]
+            are_equal = nodes[:, :, None] == its_nodes[:, None]
+            keep[similar] = ~are_equal.any(axis=(1, 2))
+            keep |= cosine < -NEGLIGIBLE
+        if self._body is not None:
+            keep &= (self._body[facet] == self._body[target]) == own
         line, facet = line[keep], facet[keep]
         corners = pieces.local_coordinates(targets[line], side.points[facet])
         normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
@@ -149,30 +165,6 @@ class Visibility:
             slope = dots(normals[row, :-1], middle) / normals[row, -1]
             height = corners[row, :, -1].mean(axis=1) + slope
             yield point, facet[row], height, normals[row, -1] > 0.0
-
-    def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
-        """Return which facets (n,) of one side may hide points on the normals of pieces (n,).
-
-        Primary facets whose normals are opposed hide nothing, since segments end there. Facets of
-        the points' `own` side hide nothing if a segment crosses them at its own start: the piece
-        itself, facets in its plane, and facets with a common node and a similar normal.
-        """
-        pieces, side = self._pieces, self._pieces if own else self._partners
-        normal, their_normal = pieces.normals[piece], side.normals[facet]
-        cosine = dots(normal, their_normal)
-        result: Mask = cosine > NEGLIGIBLE
-        if own:
-            height = np.abs(dots(side.centres[facet] - pieces.centres[piece], normal))
-            height += side.radii[facet] * np.linalg.norm(normal - their_normal, axis=1)
-            result &= height > NEGLIGIBLE * pieces.radii[piece]
-            similar = np.flatnonzero(result)
-            nodes, their_nodes = pieces.nodes[piece[similar]], side.nodes[facet[similar]]
-            are_equal = nodes[:, :, None] == their_nodes[:, None]
-            result[similar] = ~are_equal.any(axis=(1, 2))
-            result |= cosine < -NEGLIGIBLE
-        if self._body is not None:
-            result &= (self._body[facet] == self._body[piece]) == own
-        return result
 
 
 def _around_origin(corners: Array) -> Mask:
