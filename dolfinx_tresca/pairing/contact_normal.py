@@ -88,6 +88,7 @@ class SmoothSurface:
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)  # pairs of corners
+        self._along = self._corners[:, self._second] - self._corners[:, self._first]
         # a node is at the rim if it is on a side that belongs to one facet only
         side_corners = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
         sides_of_facets = nodes.facet_nodes[:, side_corners].reshape(-1, facets.dim)
@@ -106,7 +107,7 @@ class SmoothSurface:
                 lean = dots(both, along) * smooth[ends]
                 self.corner_normals[ends, c] -= lean[:, None] * along
             self.corner_normals = unit(self.corner_normals)
-        cosines = dots(self.corner_normals, self._facet_normals[:, None])
+        cosines = dots(self.corner_normals, self._facet_normals[:, None])  # (n, corners)
         self._height_factors = self._corner_pair_heights(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
         excess = np.clip(turned_angles(cosines) / KINK_ANGLE - 1.0, 0.0, 1.0)
@@ -146,18 +147,14 @@ class SmoothSurface:
         # both is right to fourth order in the angle. Folded facets have negative cosines.
         means = 0.5 * (cosines[:, self._first] + cosines[:, self._second])
         stretch = np.sqrt(np.maximum(means, 0.5))
-        start, end = self._slopes()
+        # n_c.(x_d - x_c) and n_d.(x_d - x_c) of the pairs of corners
+        start = dots(self.corner_normals[:, self._first], self._along)
+        end = dots(self.corner_normals[:, self._second], self._along)
         heights = 0.5 * (end - start) / stretch * smooth[:, None]
         sizes = np.ptp(self._corners, axis=1).max(axis=1)
         rounding = (MESH_ROUNDING + self.facets.rounding) * sizes
         has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
         return np.asarray(heights * (has_height and not self.facets.bent))
-
-    def _slopes(self) -> tuple[Array, Array]:
-        """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each (n, pairs of corners)."""
-        along = self._corners[:, self._second] - self._corners[:, self._first]
-        normals = self.corner_normals
-        return dots(normals[:, self._first], along), dots(normals[:, self._second], along)
 
     def _smoothness(self, nodes: SurfaceNodes, at_rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
@@ -167,18 +164,19 @@ class SmoothSurface:
         the facets of a curve (2D) count as kinked; on a surface, such as a strip one facet wide,
         the least smooth of all facets around counts.
         """
-        # slopes at both ends of a side: opposite on a parabola, equal at a kink
-        start, end = self._slopes()
+        # slopes n_c.(x_d - x_c) and n_d.(x_d - x_c) at both ends of a side, (n, pairs of corners):
+        # opposite on a parabola, equal at a kink
+        start = dots(self.corner_normals[:, self._first], self._along)
+        end = dots(self.corner_normals[:, self._second], self._along)
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
         unevenness = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
         own = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
-        corner_nodes = nodes.facet_nodes
         inner = ~at_rim.any(axis=1)
         # least smoothness of the inner facets, and of all facets, around the corners of each facet
-        of_inner = nodes.reduced(np.minimum, own[inner, None], np.inf, inner)[corner_nodes]
+        of_inner = nodes.reduced(np.minimum, own[inner, None], np.inf, inner)[nodes.facet_nodes]
         around = np.where(at_rim, np.inf, of_inner).min(axis=1, initial=np.inf)
-        of_all = nodes.reduced(np.minimum, own[:, None], np.inf)[corner_nodes].min(axis=1)
+        of_all = nodes.reduced(np.minimum, own[:, None], np.inf)[nodes.facet_nodes].min(axis=1)
         without_inner = 0.0 if self.facets.dim == 1 else of_all
         outer = np.where(np.isinf(around), without_inner, around)
         return np.where(inner, own, outer)

@@ -94,6 +94,7 @@ def corners_that_carry(
     near = corners_of(partly & keeps[corners].any(axis=1))
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
     without = agreed((covered > 0.0) & without & single)
+    # if no corner of a covered facet has a multiplier, the corners with the largest covered part do
     carries = ~without & ~shared & nodes.free.any(axis=1)
     no_carrier = is_covered & ~carries[corners].any(axis=1)
     largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
@@ -113,9 +114,11 @@ def nodes_with_multipliers(
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
     carries = facing & ~fixed & ~shared
+    # this rank's nodes whose numbers are, in turn: total, paired, eligible, prescribed, common to
+    # both sides or redundant, carrying multipliers, and carrying but prescribed in part
     masks = [own, facing, own & ~fixed & ~shared, facing & fixed, facing & ~fixed & shared, carries]
     masks.append(carries & ~nodes.free.all(axis=1))
-    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
+    # a node on a sharp edge has an entry for each smooth patch, and counts once if any of them does
     counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
     total, paired, eligible, prescribed, common, carrying, partly = reduce_array(comm, counts)
     if carrying > 0:
@@ -232,6 +235,7 @@ def couple(
     # rows of the nodes with multipliers alone
     weights, shares = weights[kept], shares[kept]
     shares *= (weights / shares.sum(axis=1))[:, None]
+    # the law at each node is that of the pair that has its multiplier
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
@@ -239,13 +243,13 @@ def couple(
     normals, free, numbers = normals[kept, :dim], nodes.free[kept], nodes.numbers[kept]
     prescribed = np.linalg.norm(normals * free, axis=1) <= FACING_COSINE
     jump, opposite = (own - opposite)[kept], opposite[kept]
-    friction_acts = free
+    # axes along which friction may act: where either side is free, if bonded the secondary side
+    mobile = free
     if primary is not None:
-        friction_acts = free | _primary_is_free(opposite, primary) & ~bonded[:, None]
-    has_normal_row, along, tangent_node = _rows_of_patches(
-        numbers, opposite, normals, friction_acts, ~prescribed
-    )
+        mobile = free | _primary_is_free(opposite, primary) & ~bonded[:, None]
+    has_row, along, tangent_node = _rows_of_patches(numbers, opposite, normals, mobile, ~prescribed)
     rubs = ~frictionless[tangent_node]
+    # distances within rounding of the coordinates are zero
     extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
     is_zero = bonded | (np.abs(gap[kept]) <= ROUNDING * extent)
     distance = np.where(is_zero, 0.0, gap[kept])
@@ -264,7 +268,7 @@ def couple(
         jump=jump,
         primary=opposite,
         prescribed=prescribed,
-        has_normal_row=has_normal_row,
+        has_normal_row=has_row,
         tangents=along[rubs],
         tangent_node=tangent_node[rubs].astype(np.int32),
         semi_axes=np.ones(rubs.sum()),
@@ -290,8 +294,7 @@ def _dual_means(
         of the six quantities of `FacetIntegrals.means` and of the coordinates.
     """
     facets, corners = nodes.facets, nodes.facet_nodes
-    of_corners = np.einsum("nij,njk->ni", spread, integrals.hats)
-    weights = nodes.reduced(np.add, of_corners, 0.0)
+    weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
     scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
     # coefficients (facets, corners, corners) of hat functions in the functions with integral 1
     dual = dual_coefficients(integrals.hats, spread) * scale[corners][:, :, None]
@@ -350,6 +353,7 @@ def redistribution(receives: Mask) -> Array:
     The values of corners that do not receive are added in equal parts to those of the others, so
     that the sum over a facet does not change. If no corner receives, the matrix is zero.
     """
+    # column j of a matrix distributes the value at corner j: a corner that receives keeps its value
     count = np.maximum(receives.sum(axis=1), 1)[:, None, None]
     shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / count)
     return np.asarray(shares * receives[:, :, None])
@@ -366,6 +370,7 @@ def assemble_rows(
     row, column = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
     entries = values.ravel(), (row.ravel(), column.ravel())
     result = coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
+    # the largest entry (n,) of each row that counts as rounding
     rounding = nodes.reduced(np.maximum, nodes.facets.rounding[:, None], 0.0)
     rounding *= ENTRY_ROUNDING * abs(result).sum(axis=1)
     least = np.repeat(rounding, np.diff(result.indptr))  # for each entry
@@ -409,12 +414,14 @@ def _rows_of_patches(
     has_row = moves.copy()
     # projections (n, d, d) onto the directions along which friction may act, the room for it
     room = free[:, :, None] * np.eye(free.shape[1])
+    # which patches face the same place as the next: those of the same node, with the same means
     together = numbers[1:] == numbers[:-1]
     if together.any():
         lighter, heavier = means[:-1][together], means[1:][together]
         squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
         together[together] = (lighter - heavier).power(2).sum(axis=1) <= SAME_MEANS**2 * squares
-    # runs of patches that face the same place; most nodes have a single patch
+    # runs of such patches; most nodes have a single patch. From the patch with the largest weight
+    # on, the last, the normal of each takes its direction away from the room that is left
     limits = np.flatnonzero(np.diff(together, prepend=False, append=False))
     starts, ends = limits.reshape(-1, 2).T
     for start, end in zip(starts, ends, strict=True):
@@ -426,7 +433,7 @@ def _rows_of_patches(
             if has_row[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
-        room[end] = left  # the last patch has the largest weight
+        room[end] = left
     along = tangents(normals)
     keep = np.ones(along.shape[:2], dtype=np.bool_)
     # where not all directions are available, rotate the tangents to eigenvectors of the projection

@@ -163,10 +163,9 @@ class Facets:
         # a facet is bent if its nodes are not where they would be if all its edges were straight
         corners = points[:, : self.corners]
         straight = self.hats(self.lagrange_points(self.degree)) @ corners
-        deviation = np.abs(points - straight).max(axis=(1, 2))
         sizes = np.ptp(corners, axis=1).max(axis=1)
         rounding = MESH_ROUNDING + rounding_of(corners)
-        bent = bool((deviation > rounding * sizes).any())
+        bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * sizes).any())
         return replace(displaced, bent=bent)
 
     def area_vectors(self, x: Array) -> Array:

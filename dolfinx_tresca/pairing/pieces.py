@@ -88,9 +88,8 @@ class Pieces:
         self.radii: Array = np.linalg.norm(arms, axis=2).max(axis=1)
         # in 3D the area vector is half the cross product of the diagonals, or of two sides
         along = self.points[:, facets.dim] - self.points[:, 0]
-        across = np.array([0.0, 0.0, 1.0])
-        if facets.dim == 2:
-            across = self.points[:, -1] - self.points[:, 1]
+        e_z = np.array([0.0, 0.0, 1.0])
+        across = self.points[:, -1] - self.points[:, 1] if facets.dim == 2 else e_z
         vectors = cross(along, across) / facets.dim
         self.areas: Array = np.linalg.norm(vectors, axis=1)
         self.normals: Array = vectors / (facets.outward[self.facet] * self.areas)[:, None]
@@ -161,9 +160,8 @@ class Pieces:
         """
         for start in range(0, len(chosen), AT_ONCE):
             own = chosen[start : start + AT_ONCE]
-            line, partner = partners.on_normals(
-                self.centres[own], self.normals[own], self.radii[own], limit[own]
-            )
+            centres, normals = self.centres[own], self.normals[own]
+            line, partner = partners.on_normals(centres, normals, self.radii[own], limit[own])
             piece = own[line]
             opposed = dots(self.normals[piece], partners.normals[partner]) < -FACING_COSINE
             yield piece[opposed], partner[opposed]
@@ -252,11 +250,10 @@ def near_lines(
     # facets of this rank that received lines meet, and the ranks that sent them
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
     for start in range(0, len(lines), AT_ONCE):
-        block = slice(start, start + AT_ONCE)
-        line, piece = pieces.on_normals(
-            lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
-        )
-        pairs.append(np.unique(np.column_stack([pieces.facet[piece], source[block][line]]), axis=0))
+        block = lines[start : start + AT_ONCE]
+        line, piece = pieces.on_normals(block[:, :3], block[:, 3:6], block[:, 6], block[:, 7])
+        met = np.column_stack([pieces.facet[piece], source[start + line]])
+        pairs.append(np.unique(met, axis=0))
     facet, sender = np.concatenate(pairs).T
     return _sent(comm, owned, facet, sender)
 

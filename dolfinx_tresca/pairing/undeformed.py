@@ -380,12 +380,12 @@ def _offsets(facets: Facets, tag: int, projections: Sequence[Projection]) -> Arr
     A facet belongs to the patch nearest to its corners; of equally near ones, to its centre.
     """
     points = facets.basis(facets.lagrange_points(OFFSET_DEGREE)) @ facets.points
+    dim_of_space = facets.free.shape[2]
 
     def offsets(projection: Projection, points: Array) -> Array:
         """Return vectors (..., 3) from points to projections; equal points are projected once."""
         places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
-        name, dim = f"geometry[{tag}]", facets.free.shape[2]
-        steps = project_points(places, name, projection, dim) - places
+        steps = project_points(places, f"geometry[{tag}]", projection, dim_of_space) - places
         return np.asarray(steps[index.ravel()].reshape(points.shape))
 
     if len(projections) == 1:

@@ -123,10 +123,9 @@ class Visibility:
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
-        line, facet = side.on_normals(
-            pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
-            np.maximum.reduceat(reach, starts) + pieces.radii[targets],
-        )  # fmt: skip
+        radii = pieces.radii[targets]
+        far = np.maximum.reduceat(reach, starts) + radii
+        line, facet = side.on_normals(pieces.centres[targets], pieces.normals[targets], radii, far)
         # primary facets whose normals are opposed hide nothing, since segments end there
         target = targets[line]
         normal, its_normal = pieces.normals[target], side.normals[facet]
