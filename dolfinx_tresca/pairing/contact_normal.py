@@ -107,6 +107,7 @@ class SmoothSurface:
                 lean = dots(both, along) * smooth[ends]
                 self.corner_normals[ends, c] -= lean[:, None] * along
             self.corner_normals = unit(self.corner_normals)
+
         cosines = dots(self.corner_normals, self._facet_normals[:, None])  # (n, corners)
         self._height_factors = self._corner_pair_heights(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
@@ -115,6 +116,7 @@ class SmoothSurface:
         self._fitted_normals = self.corner_normals
         self.corner_normals = (1.0 - kinked) * self._fitted_normals
         self.corner_normals += kinked * self._facet_normals[:, None]
+
         # where the geometry is known, its normals take the place of `corner_normals`
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
@@ -125,6 +127,7 @@ class SmoothSurface:
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
+
         # `_at_end` (n,) is 1 for facets where the surface ends: at a sharp edge, or at a rim. In 3D
         # flat facets at a rim do not count: a slab of one layer of cells has no others. Those that
         # turn by `KINK_ANGLE` do, others count in part, and those with known geometry never

@@ -129,6 +129,7 @@ def nodes_with_multipliers(
             *(pair, carrying, total, partly, total - paired, prescribed, common),
         )
         return np.flatnonzero(carries)
+
     hint = ""
     if pair.obstacle is not None:  # whose normals may point into the body by mistake
         with errors_on_all_ranks(comm):
@@ -151,6 +152,8 @@ def nodes_with_multipliers(
             about=str(pair),
         )
         return np.flatnonzero(carries)
+
+    # small sliding, or no node could carry a multiplier in any position: say why
     secondary, primary = pair.side("secondary"), pair.side("primary")
     if paired > 0:
         raise PairingError(
@@ -201,6 +204,7 @@ def couple(
     with errors_on_all_ranks(comm):
         spread = redistribution(carries)
         weights, own, opposite, means = _dual_means(nodes, primary, integrals, spread, width)
+
     # contact normals: the mean with dual functions, or, where this is far off since they are
     # negative in part, that with hat functions. Nodes that face nothing, and those whose contact
     # normals cancel, keep their own normals
@@ -215,7 +219,7 @@ def couple(
     normals = free_normals(vectors, nodes.free)
     if primary is None:  # measured along the mean normal, also where a component is prescribed
         means[:, :3] /= np.maximum(dots(unit(vectors), normals), FACING_COSINE)[:, None]
-    gap, secondary_sagitta, sagitta = means[:, :3].T
+    gap, secondary_sagitta, sagitta = means[:, :3].T  # views of the means, (n,) each
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
@@ -225,6 +229,7 @@ def couple(
         gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not (displaced or facets.has_exact_surface):
             _warn_of_close_fit(comm, str(pair), gap[kept], sagitta[kept])
+
     # the share of each pair of the group in a node's area, from the areas of overlaps
     facet, partner = integrals.pairs.T
     column = partner if primary is None else primary.tag_index[partner]
@@ -232,6 +237,7 @@ def couple(
     shares: Array = np.zeros((len(nodes.numbers), len(group.pairs)))
     areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
     np.add.at(shares, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
+
     # rows of the nodes with multipliers alone
     weights, shares = weights[kept], shares[kept]
     shares *= (weights / shares.sum(axis=1))[:, None]
@@ -434,6 +440,7 @@ def _rows_of_patches(
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
         room[end] = left
+
     along = tangents(normals)
     keep = np.ones(along.shape[:2], dtype=np.bool_)
     # where not all directions are available, rotate the tangents to eigenvectors of the projection

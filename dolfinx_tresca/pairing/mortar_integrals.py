@@ -267,12 +267,14 @@ class MortarIntegrals(FacetIntegrals):
         # least distance over each simplex that has weight
         least = (means[:, 0].reshape(-1, q) @ self._to_grid).min(axis=1)
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
+
         # sums over each of the pairs that overlap: its simplices follow each other from a start on
         pairs, starts = np.unique(cut.pair, return_index=True)
         piece, area = secondary[pairs], np.add.reduceat(weight, starts * q)
         seen_area = np.bincount(piece, np.add.reduceat(seen, starts * q), minlength=len(limit))
         covered: Mask = seen_area >= (1.0 - MISMATCH) * self._area
         added = covered[piece] if covered_only else np.ones(len(pairs), dtype=np.bool_)
+
         # the weights in the planes of pieces become weights on the facets, or on rings
         facets, own = self._surface.facets, cut.secondary
         if not facets.affine:
@@ -289,6 +291,7 @@ class MortarIntegrals(FacetIntegrals):
             of_simplices = left @ right.reshape(-1, q, right.shape[1])
             return np.asarray(np.add.reduceat(of_simplices, starts, axis=0))
 
+        # add the integrals over the pairs that count to those of their facets
         facet = cut.facet[pairs][added]
         np.add.at(self.hats, facet, products(cut.hats)[added])
         np.add.at(self.values, facet, products(own.values)[added])
@@ -409,12 +412,14 @@ def obstacle_integrals(
         at_corners = obstacle.at(nodes.points)[1][nodes.facet_nodes]
         centres = (facets.basis(centre) @ facets.points)[:, 0]
         _, at_centres = obstacle.at(centres)
+
         # A facet faces the obstacle at a corner if the normals are opposed there and at the centre:
         # at an edge in a corner between two walls, the facets in front of the nearest wall do.
         corner_normals = unit(facets.area_vectors(facets.lagrange_points(1)))
         faces: Mask = dots(corner_normals, at_corners) < -FACING_COSINE
         faces &= (dots(facets.mean_normals, at_centres) < -FACING_COSINE)[:, None]
         facing = np.asarray(faces.any(axis=1))
+
         # nodes have the obstacle's normal if the mesh resolves its turns, else the mean of both
         turns = turned_angles(dots(at_corners, at_centres[:, None])) * facing
         at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
@@ -422,6 +427,7 @@ def obstacle_integrals(
         mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
         unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
         normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
+
         # distances are interpolated between the nodes of the displacement, normals between corners
         every = np.arange(len(facing))
         distance, _ = _at(obstacle, surface.points(every, facets.lagrange_points(facets.degree)))
@@ -435,12 +441,14 @@ def obstacle_integrals(
         least, full = distance.min(axis=1, initial=np.inf), np.ones(len(every), dtype=np.bool_)
         pairs = np.column_stack([every, np.zeros_like(every)])
         integrals = FacetIntegrals(hats, values, means, least, full, pairs, hats)
+
         # nodes see a hollow obstacle, such as a corner between walls, before all other points do
         spread = facets.points[:, : facets.corners] - centres[:, None]
         turns *= dots(spread, at_corners - at_centres[:, None]).sum(axis=1) > 0.0
         near = _see_between_nodes(obstacle, nodes, surface, turns, integrals)
     if displaced:
         return nodes, integrals, faces
+
     # warn if the obstacle enters facets farther than the mesh sees: what it sees is the least
     # distance at nodes, or of means over the facets around them
     seen = integrals.least.copy()

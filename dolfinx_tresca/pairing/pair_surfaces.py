@@ -139,6 +139,7 @@ def _overlap_integrals(
     facets, primary = nodes.facets, primary_nodes.facets
 
     def tags_may_meet(facet: Indices, partner: Indices) -> Mask:
+        """Return whether a pair of the group has the tags of both facets, (m,) each."""
         pair_of_facets = group.pair_of_tags[facets.tag_index[facet], primary.tag_index[partner]]
         return np.asarray(pair_of_facets >= 0)
 

@@ -145,6 +145,7 @@ def _strength(law: Friction) -> tuple[int, float, float]:
     values = []
     for bound in (law.terms.coefficient, law.terms.constant):
         entries = bound if isinstance(bound, tuple) else (bound,)
+        # a `fem.Constant` has a value, a function counts as 0
         values.append(max(real(getattr(entry, "value", entry)) or 0.0 for entry in entries))
     return 1, values[0], values[1]
 

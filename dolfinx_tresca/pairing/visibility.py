@@ -92,6 +92,7 @@ class Visibility:
                 distance += np.where(leaves, -touch[point], touch[point])
                 between = (distance > 0.0) & (distance <= length[point])
                 result[point[matters & between]] = True
+
         # a deep penetration is not credible if the primary side is much nearer (`CREDIBLE_PART`),
         # in self-contact that of another body
         depth = start - end
@@ -145,6 +146,8 @@ class Visibility:
         if self._body is not None:
             keep &= (self._body[facet] == self._body[target]) == own
         line, facet = line[keep], facet[keep]
+
+        # corners and normals of these facets in the frames of the pieces
         corners = pieces.local_coordinates(targets[line], side.points[facet])
         normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
         # All pairs of a facet and a point of the piece in front of it. Points are ordered by piece:
