@@ -85,43 +85,57 @@ class SmoothSurface:
     def __init__(self, nodes: SurfaceNodes) -> None:
         """Fit the surface; valid on facets with two rings around (`halos`). Not collective."""
         facets = nodes.facets
-        # a node is at the rim if it is on a side that belongs to one facet only
-        sides = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
-        sides = np.sort(nodes.facet_nodes[:, sides].reshape(-1, facets.dim), axis=1)
-        sides, count = np.unique(sides, axis=0, return_counts=True)
-        at_rim = np.isin(nodes.facet_nodes, sides[count == 1])
         self.facets, self._facet_normals = facets, facets.mean_normals
         self._corners = facets.points[:, : facets.corners]
         self._first, self._second = np.triu_indices(facets.corners, 1)  # pairs of corners
+        self._along = self._corners[:, self._second] - self._corners[:, self._first]
+        # a node is at the rim if it is on a side that belongs to one facet only
+        side_corners = basix.topology(basix.CellType[facets.cell])[facets.dim - 1]
+        sides_of_facets = nodes.facet_nodes[:, side_corners].reshape(-1, facets.dim)
+        sides, count = np.unique(np.sort(sides_of_facets), axis=0, return_counts=True)
+        at_rim = np.isin(nodes.facet_nodes, sides[count == 1])  # (n, corners)
         self.corner_normals = fitted_normals(nodes)[nodes.facet_nodes]
         smooth = self._smoothness(nodes, at_rim)
         if facets.dim == 1:
-            self._turn_end_normals(at_rim, smooth)
-        cosines = dots(self.corner_normals, self._facet_normals[:, None])
+            # The normals at both ends of a curve (2D) turn until the curve is parabolic over the
+            # facet: with the end c and the opposite corner d, (n_c + n_d).(x_d - x_c) becomes zero,
+            # as far as the curve is smooth. In 3D, nodes at the rim have neighbours enough.
+            for c, d in ((0, 1), (1, 0)):
+                ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
+                along = unit(self._corners[ends, d] - self._corners[ends, c])
+                both = self.corner_normals[ends, c] + self.corner_normals[ends, d]
+                lean = dots(both, along) * smooth[ends]
+                self.corner_normals[ends, c] -= lean[:, None] * along
+            self.corner_normals = unit(self.corner_normals)
+
+        cosines = dots(self.corner_normals, self._facet_normals[:, None])  # (n, corners)
         self._height_factors = self._corner_pair_heights(smooth, cosines)
         # beside kinks, the corners of facets get the facet's normal, see `KINK_ANGLE`
-        kinked = (1.0 - smooth) * np.clip(turned_angles(cosines) / KINK_ANGLE - 1.0, 0.0, 1.0)
-        self._fitted_normals, kinked = self.corner_normals, kinked[:, None, None]
+        excess = np.clip(turned_angles(cosines) / KINK_ANGLE - 1.0, 0.0, 1.0)
+        kinked = ((1.0 - smooth) * excess)[:, None, None]
+        self._fitted_normals = self.corner_normals
         self.corner_normals = (1.0 - kinked) * self._fitted_normals
         self.corner_normals += kinked * self._facet_normals[:, None]
+
         # where the geometry is known, its normals take the place of `corner_normals`
         self._exact = np.asarray(np.isfinite(facets.offsets[:, :1]).any(axis=(1, 2)))
         if self._exact.any():
-            facet = np.repeat(np.flatnonzero(self._exact), facets.corners)
-            x = np.tile(facets.lagrange_points(1), (len(facet) // facets.corners, 1))
-            normals = facets.exact_normals_at(facet, x).reshape(-1, facets.corners, 3)
-            self.corner_normals[self._exact] = normals
+            exact = np.flatnonzero(self._exact)
+            x = np.tile(facets.lagrange_points(1), (len(exact), 1))
+            normals = facets.exact_normals_at(np.repeat(exact, facets.corners), x)
+            self.corner_normals[exact] = normals.reshape(-1, facets.corners, 3)
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
         self.is_flat = not (self._height_factors.any() or (self.turns > FLAT_ANGLE).any())
+
         # `_at_end` (n,) is 1 for facets where the surface ends: at a sharp edge, or at a rim. In 3D
         # flat facets at a rim do not count: a slab of one layer of cells has no others. Those that
         # turn by `KINK_ANGLE` do, others count in part, and those with known geometry never
         self.beyond_edges = _normals_beyond_edges(nodes)
-        curved = np.minimum(self.turns / KINK_ANGLE, 1.0) ** (2 if facets.dim == 2 else 0)
+        curved = np.minimum(self.turns / KINK_ANGLE, 1.0) ** 2 if facets.dim == 2 else 1.0
         at_curved_rim = curved * (at_rim.any(axis=1) & ~self._exact)
         self._at_end = np.maximum(self.beyond_edges.any(axis=(1, 2)), at_curved_rim)
-        if facets.dim == 1:
+        if facets.dim == 1:  # unit vectors out of both ends of the curve, along it
             ahead = self._corners - self._corners[:, ::-1]
             ahead *= (at_rim / np.linalg.norm(ahead, axis=2))[:, :, None]
             self.beyond_edges = np.concatenate([self.beyond_edges, ahead], axis=1)
@@ -136,18 +150,14 @@ class SmoothSurface:
         # both is right to fourth order in the angle. Folded facets have negative cosines.
         means = 0.5 * (cosines[:, self._first] + cosines[:, self._second])
         stretch = np.sqrt(np.maximum(means, 0.5))
-        start, end = self._slopes()
+        # n_c.(x_d - x_c) and n_d.(x_d - x_c) of the pairs of corners
+        start = dots(self.corner_normals[:, self._first], self._along)
+        end = dots(self.corner_normals[:, self._second], self._along)
         heights = 0.5 * (end - start) / stretch * smooth[:, None]
-        facets, sizes = self.facets, np.ptp(self._corners, axis=1).max(axis=1)
-        rounding = (MESH_ROUNDING + facets.rounding) * sizes
+        sizes = np.ptp(self._corners, axis=1).max(axis=1)
+        rounding = (MESH_ROUNDING + self.facets.rounding) * sizes
         has_height = bool((np.abs(heights).max(axis=1, initial=0.0) > rounding).any())
-        return np.asarray(heights * (has_height and not facets.bent))
-
-    def _slopes(self) -> tuple[Array, Array]:
-        """Return n_c.(x_d - x_c) and n_d.(x_d - x_c) [length], each (n, pairs of corners)."""
-        along = self._corners[:, self._second] - self._corners[:, self._first]
-        normals = self.corner_normals
-        return dots(normals[:, self._first], along), dots(normals[:, self._second], along)
+        return np.asarray(heights * (has_height and not self.facets.bent))
 
     def _smoothness(self, nodes: SurfaceNodes, at_rim: Mask) -> Array:
         """Return a factor (n,) for each facet: 1 on parabolic surfaces, 0 next to kinks.
@@ -157,34 +167,22 @@ class SmoothSurface:
         the facets of a curve (2D) count as kinked; on a surface, such as a strip one facet wide,
         the least smooth of all facets around counts.
         """
-        # slopes at both ends of a side: opposite on a parabola, equal at a kink
-        start, end = self._slopes()
+        # slopes n_c.(x_d - x_c) and n_d.(x_d - x_c) at both ends of a side, (n, pairs of corners):
+        # opposite on a parabola, equal at a kink
+        start = dots(self.corner_normals[:, self._first], self._along)
+        end = dots(self.corner_normals[:, self._second], self._along)
         turned = np.abs(end - start).max(axis=1, initial=0.0)
         uneven = np.abs(end + start).max(axis=1, initial=0.0)
         unevenness = np.divide(uneven, turned, out=np.zeros_like(turned), where=turned > 0.0)
         own = np.clip((1.0 - unevenness) / (1.0 - UNEVEN), 0.0, 1.0)
-        corner_nodes = nodes.facet_nodes
         inner = ~at_rim.any(axis=1)
-        of_inner = nodes.reduced(np.minimum, own[inner, None], np.inf, inner)[corner_nodes]
+        # least smoothness of the inner facets, and of all facets, around the corners of each facet
+        of_inner = nodes.reduced(np.minimum, own[inner, None], np.inf, inner)[nodes.facet_nodes]
         around = np.where(at_rim, np.inf, of_inner).min(axis=1, initial=np.inf)
-        of_all = nodes.reduced(np.minimum, own[:, None], np.inf)[corner_nodes].min(axis=1)
+        of_all = nodes.reduced(np.minimum, own[:, None], np.inf)[nodes.facet_nodes].min(axis=1)
         without_inner = 0.0 if self.facets.dim == 1 else of_all
-        return np.where(inner, own, np.where(np.isinf(around), without_inner, around))
-
-    def _turn_end_normals(self, at_rim: Mask, smooth: Array) -> None:
-        """Turn the normals at both ends of curves (2D) until the curve is parabolic over the facet.
-
-        With the end c and the other corner d of its facet (n_c + n_d).(x_d - x_c) becomes zero, as
-        far as the curve is `smooth` (n,) there; `at_rim` (n, 2) tells which corners are ends. In 3D
-        a node at the rim has neighbours enough for its fitted normal.
-        """
-        for c, d in ((0, 1), (1, 0)):
-            ends = np.flatnonzero(at_rim[:, c] & ~at_rim[:, d])
-            along = unit(self._corners[ends, d] - self._corners[ends, c])
-            both = self.corner_normals[ends, c] + self.corner_normals[ends, d]
-            lean = dots(both, along) * smooth[ends]
-            self.corner_normals[ends, c] -= lean[:, None] * along
-        self.corner_normals = unit(self.corner_normals)
+        outer = np.where(np.isinf(around), without_inner, around)
+        return np.where(inner, own, outer)
 
     def points(self, facet: Indices, x: Array) -> Array:
         """Return points (n, q, 3) of the fitted surface over facets (n,) at x (q, dim) [length]."""
@@ -225,10 +223,12 @@ class SmoothSurface:
         normals = self._facet_normals[facet]
         along = lean - dots(lean, normals)[:, None] * normals
         of_corners = self._fitted_normals if to_ends else self.corner_normals
-        along_corners = [dots(corner[facet], along) for corner in of_corners.swapaxes(0, 1)]
-        # where contact ends, both corners of a curve lean alike; in space a facet itself may lean
-        is_curve = self.facets.dim == 1  # sines are those of the angles times the length of `along`
-        sines = np.abs(along_corners).max(axis=0) if is_curve else np.ptp(along_corners, axis=0) / 2
+        # sines and cosines of the angles, times the length of `along`
+        corner_sines = [dots(corner[facet], along) for corner in of_corners.swapaxes(0, 1)]
+        if self.facets.dim == 1:  # where contact ends, both corners of a curve lean alike
+            sines = np.abs(corner_sines).max(axis=0)
+        else:  # in space a facet itself may lean
+            sines = np.ptp(corner_sines, axis=0) / 2
         cosines = np.sqrt(np.maximum(dots(along, along) - sines**2, 0.0))
         least = 0.5 * np.pi * to_ends * self._at_end[facet]
         return np.asarray(np.maximum(2.0 * np.arctan2(sines, cosines), least))
@@ -243,21 +243,25 @@ class SmoothSurface:
         normals between those of its patches: beside an edge of either side, points may also touch
         if the opposite normal is opposed to the edge, but not if to the patch beyond it.
         """
-        (facet, normals), (partner_facet, partner_normals) = own, theirs
-        cosine, turned = -dots(normals, partner_normals), np.zeros(len(facet))
+        facet, normals = own
+        partner_facet, partner_normals = theirs
+        cosine = -dots(normals, partner_normals)
+        # the angles by which both turn matter where normals are not opposed up to `OPPOSED_ANGLE`
+        turned = np.zeros(len(facet))
         leaning = np.flatnonzero(cosine < np.cos(OPPOSED_ANGLE))
         lean = (normals + partner_normals)[leaning]
-        for side, its_facet in ((self, facet), (partner, partner_facet)):
-            turned[leaning] += side.turns_along(its_facet[leaning], lean)
+        turned[leaning] += self.turns_along(facet[leaning], lean)
+        turned[leaning] += partner.turns_along(partner_facet[leaning], lean)
         least = np.cos(np.minimum(OPPOSED_ANGLE + turned, 0.5 * np.pi))
         at_edge, beyond_edge = np.zeros((2, len(facet)), dtype=np.bool_)
         for outward, facing, beyond in (
             (normals, partner_normals, self.beyond_edges[facet]),
             (partner_normals, normals, partner.beyond_edges[partner_facet]),
         ):
-            opposed = -dots(beyond, facing[:, None])
+            opposed = -dots(beyond, facing[:, None])  # (n, patches beyond edges)
+            aligned = dots(beyond, outward[:, None])
             # the reversed normal of the opposite point leans towards the patch beyond the edge
-            at_edge |= (opposed > cosine[:, None] * dots(beyond, outward[:, None])).any(axis=1)
+            at_edge |= (opposed > cosine[:, None] * aligned).any(axis=1)
             beyond_edge |= (opposed >= least[:, None]).any(axis=1)
         return np.asarray((cosine >= least) | at_edge & ~beyond_edge)
 
@@ -269,7 +273,9 @@ def _normals_beyond_edges(nodes: SurfaceNodes) -> Array:
     """
     own = nodes.facet_nodes
     # the entries of a node, one for each patch, follow each other in `nodes`
-    start, end = (np.searchsorted(nodes.numbers, nodes.numbers[own], s) for s in ("left", "right"))
+    numbers = nodes.numbers[own]
+    start = np.searchsorted(nodes.numbers, numbers, side="left")
+    end = np.searchsorted(nodes.numbers, numbers, side="right")
     most = (end - start).max(initial=1)
     entry = np.minimum(start[:, :, None] + np.arange(most), end[:, :, None] - 1)
     normals = nodes.normals[entry]  # (n, corners, most, 3)
@@ -301,7 +307,9 @@ def fitted_normals(nodes: SurfaceNodes) -> Array:
     # the fit is in units of the distance of neighbours, along tangents and the mean normal
     squares = np.bincount(node, np.square(offset).sum(axis=1), minlength=count)
     spacing = np.sqrt(squares / np.maximum(np.bincount(node, minlength=count), 1))[node]
-    x, y, height = (dots(offset, axis[node]) / spacing for axis in (x_axis, y_axis, nodes.normals))
+    x = dots(offset, x_axis[node]) / spacing
+    y = dots(offset, y_axis[node]) / spacing
+    height = dots(offset, nodes.normals[node]) / spacing
     # equal weights of the last two terms make the fit independent of the choice of axes
     terms = np.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
     matrix, load = np.zeros((count, 5, 5)), np.zeros((count, 5))

@@ -136,9 +136,9 @@ class ContactOperators:
         values = np.ones(len(facets), dtype=np.int32)
         marked = dolfinx.mesh.meshtags(Q.mesh, tags.dim, facets, values)
         ds = ufl.Measure("ds", domain=Q.mesh, subdomain_data=marked, subdomain_id=1)
-        radius = ufl.SpatialCoordinate(Q.mesh)[0]
-        is_ring = self._pair.undeformed.sides[0].axisymmetric
-        ring = 2.0 * np.pi * radius if is_ring else ufl.as_ufl(1.0)
+        ring = ufl.as_ufl(1.0)
+        if self._pair.undeformed.sides[0].axisymmetric:
+            ring = 2.0 * np.pi * ufl.SpatialCoordinate(Q.mesh)[0]
         whole = assembled(ring * ufl.TestFunction(Q) * ds, Q).x.array
         areas.x.array[:] /= np.where(whole > 0.0, whole, 1.0)
         areas.name = "area_fraction"
@@ -236,11 +236,8 @@ class ContactOperators:
         cell = mesh.basix_cell()
         elements = [basix.ufl.element("Lagrange", cell, 1, shape=shape) for shape in shapes]
         with errors_on_all_ranks(self.comm):
-            if (
-                not isinstance(function, fem.Function)
-                or function.function_space.mesh != mesh
-                or function.ufl_element() not in elements
-            ):
+            on_mesh = isinstance(function, fem.Function) and function.function_space.mesh == mesh
+            if not (on_mesh and function.ufl_element() in elements):
                 vector = "" if scalar else f" or a vector of {dim} components"
                 raise InputError(
                     "the field must be a Function of Lagrange elements of degree 1 on the mesh of "

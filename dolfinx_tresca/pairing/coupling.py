@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 from mpi4py import MPI
 
@@ -29,7 +29,6 @@ from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import owners_flags, owns
 from dolfinx_tresca.pairing.undeformed import Undeformed
 from dolfinx_tresca.scene.friction import Bonded, Frictionless
-from dolfinx_tresca.scene.obstacle import RigidObstacle
 from dolfinx_tresca.scene.pair import ContactPair
 
 #: Least mean of a node's hat function over the covered parts of its facets, relative to the mean
@@ -68,6 +67,7 @@ def corners_that_carry(
     areas, but get no multiplier in `nodes_with_multipliers`. All ranks decide alike.
     """
     corners, weights = nodes.facet_nodes, integrals.hats.sum(axis=2)
+    is_covered = weights.sum(axis=1) > 0.0
     agreed = partial(owners_flags, V, nodes.numbers)
     # the integral of a node's hat function over the covered parts of its facets, and what it would
     # be if the function had the same mean on these parts as on whole facets
@@ -81,19 +81,22 @@ def corners_that_carry(
         """Return the mask (n,) of the nodes of facets in a mask."""
         return np.asarray(nodes.reduced(np.maximum, facets[:, None], False))
 
-    partly = ~integrals.full & (weights.sum(axis=1) > 0.0)
+    partly = ~integrals.full & is_covered
     at_rim = corners_of(partly)
     without = agreed(at_rim & (covered < LEAST_MEAN * whole))
     # `LEAST_MEAN` decides at nodes that are `near` a fully covered facet, else `LEAST_MEAN_OF_FEW`.
     # `near` in three steps: nodes at the rim of fully covered facets; in addition, their neighbours
     # at the rim; last, all corners of partly covered facets where one of these has a multiplier
     near = agreed(at_rim & corners_of(integrals.full))
-    near = agreed(at_rim & (near | corners_of(partly & near[corners].any(axis=1))))
-    near = corners_of(partly & (near & ~without)[corners].any(axis=1))
+    beside = corners_of(partly & near[corners].any(axis=1))
+    near = agreed(at_rim & (near | beside))
+    keeps = near & ~without
+    near = corners_of(partly & keeps[corners].any(axis=1))
     without &= near | (covered < LEAST_MEAN_OF_FEW * whole)
     without = agreed((covered > 0.0) & without & single)
+    # if no corner of a covered facet has a multiplier, the corners with the largest covered part do
     carries = ~without & ~shared & nodes.free.any(axis=1)
-    no_carrier = (weights.sum(axis=1) > 0.0) & ~carries[corners].any(axis=1)
+    no_carrier = is_covered & ~carries[corners].any(axis=1)
     largest = weights >= (1.0 - MISMATCH) * weights.max(axis=1, keepdims=True)
     without[corners[no_carrier[:, None] & largest]] = False
     return np.asarray(~agreed(without)[corners])
@@ -111,9 +114,11 @@ def nodes_with_multipliers(
     comm, own = V.mesh.comm, owns(V, nodes.numbers)
     fixed, facing = ~nodes.free.any(axis=1), own & ~unpaired
     carries = facing & ~fixed & ~shared
+    # this rank's nodes whose numbers are, in turn: total, paired, eligible, prescribed, common to
+    # both sides or redundant, carrying multipliers, and carrying but prescribed in part
     masks = [own, facing, own & ~fixed & ~shared, facing & fixed, facing & ~fixed & shared, carries]
     masks.append(carries & ~nodes.free.all(axis=1))
-    # a node on a sharp edge has an entry for each smooth patch; it is paired if any entry is paired
+    # a node on a sharp edge has an entry for each smooth patch, and counts once if any of them does
     counts = [len(np.unique(nodes.numbers[mask])) for mask in masks]
     total, paired, eligible, prescribed, common, carrying, partly = reduce_array(comm, counts)
     if carrying > 0:
@@ -124,28 +129,36 @@ def nodes_with_multipliers(
             *(pair, carrying, total, partly, total - paired, prescribed, common),
         )
         return np.flatnonzero(carries)
-    hint = "" if pair.obstacle is None else _hint_at_normals(comm, pair.obstacle, nodes, own)
-    if eligible == 0 or pair.sliding != "finite":
-        _raise_unpaired(pair, total, total - paired, prescribed, common, hint)
-    log(
-        comm,
-        "pairing: %s: no node that could carry a multiplier faces the other.%s",
-        *(pair, hint),
-        level=logging.WARNING if hint else logging.INFO,
-        about=str(pair),
-    )
-    return np.flatnonzero(carries)
 
+    hint = ""
+    if pair.obstacle is not None:  # whose normals may point into the body by mistake
+        with errors_on_all_ranks(comm):
+            _, normals = pair.obstacle.at(nodes.points[own])
+        inwards = dots(normals, nodes.normals[own]) > 0.0
+        count = comm.allreduce(len(np.unique(nodes.numbers[own][inwards])))
+        if count:
+            hint = (
+                f" At {count} nodes the obstacle's normal is along the outward normal of the body, "
+                "and so points into the body: it must point out of the obstacle, towards the "
+                "surface that may touch it. Reverse it if the tag is right and the body has not "
+                "passed the obstacle."
+            )
+    if eligible > 0 and pair.sliding == "finite":
+        log(
+            comm,
+            "pairing: %s: no node that could carry a multiplier faces the other.%s",
+            *(pair, hint),
+            level=logging.WARNING if hint else logging.INFO,
+            about=str(pair),
+        )
+        return np.flatnonzero(carries)
 
-def _raise_unpaired(
-    pair: ContactPair, total: int, unpaired: int, prescribed: int, common: int, hint: str
-) -> NoReturn:
-    """Raise the error that says why no node carries a multiplier, from counts of nodes."""
+    # small sliding, or no node could carry a multiplier in any position: say why
     secondary, primary = pair.side("secondary"), pair.side("primary")
-    if unpaired < total:
+    if paired > 0:
         raise PairingError(
             f"no node of the secondary side ({secondary}) can carry a multiplier: of its {total} "
-            f"nodes {unpaired} do not face the primary side ({primary}), {prescribed} are "
+            f"nodes {total - paired} do not face the primary side ({primary}), {prescribed} are "
             f"prescribed and {common} shared with it. Check the tags and the Dirichlet conditions."
         )
     limited = pair.search_distance is not None
@@ -162,21 +175,6 @@ def _raise_unpaired(
         f"the surfaces do not face each other: from none of the {total} nodes of the secondary "
         f"side ({secondary}) the outward normal leads to the primary side "
         f"({primary}){within}. Check the tags{limits}.{hint}"
-    )
-
-
-def _hint_at_normals(
-    comm: MPI.Comm, obstacle: RigidObstacle, nodes: SurfaceNodes, own: Mask
-) -> str:
-    """Return a sentence if an obstacle's normals point into the body, else "". Collective."""
-    with errors_on_all_ranks(comm):
-        _, normals = obstacle.at(nodes.points[own])
-    along = dots(normals, nodes.normals[own]) > 0.0
-    count = comm.allreduce(len(np.unique(nodes.numbers[own][along])))
-    return bool(count) * (
-        f" At {count} nodes the obstacle's normal is along the outward normal of the body, and so "
-        "points into the body: it must point out of the obstacle, towards the surface that may "
-        "touch it. Reverse it if the tag is right and the body has not passed the obstacle."
     )
 
 
@@ -202,23 +200,26 @@ def couple(
     """
     group, facets, comm, dim = undeformed.group, nodes.facets, V.mesh.comm, V.mesh.geometry.dim
     pair, index_map = group.surfaces, V.dofmap.index_map
+    width = index_map.size_global
     with errors_on_all_ranks(comm):
         spread = redistribution(carries)
-        weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
-        scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
-        dual = dual_coefficients(integrals.hats, spread) * scale[nodes.facet_nodes][:, :, None]
-        own, opposite, means = _dual_means(nodes, primary, integrals, dual, index_map.size_global)
-    # nodes that face nothing, and those whose contact normals cancel, keep their own normals; where
-    # the mean with dual functions, negative in part, is far off, that with hat functions is taken
+        weights, own, opposite, means = _dual_means(nodes, primary, integrals, spread, width)
+
+    # contact normals: the mean with dual functions, or, where this is far off since they are
+    # negative in part, that with hat functions. Nodes that face nothing, and those whose contact
+    # normals cancel, keep their own normals
     vectors = nodes.reduced(np.add, spread @ integrals.means[:, :, 3:], 0.0)
-    lengths, dual_lengths = (np.linalg.norm(v, axis=1) for v in (vectors, means[:, 3:6]))
-    near = dots(vectors, means[:, 3:6]) > np.cos(OPPOSED_ANGLE) * lengths * dual_lengths
+    dual_vectors = means[:, 3:6]
+    lengths = np.linalg.norm(vectors, axis=1)
+    dual_lengths = np.linalg.norm(dual_vectors, axis=1)
+    near = dots(vectors, dual_vectors) > np.cos(OPPOSED_ANGLE) * lengths * dual_lengths
     cancel = lengths <= CANCELLED * weights
-    vectors[near], vectors[cancel] = means[near, 3:6], nodes.normals[cancel]
+    vectors[near] = dual_vectors[near]
+    vectors[cancel] = nodes.normals[cancel]
     normals = free_normals(vectors, nodes.free)
     if primary is None:  # measured along the mean normal, also where a component is prescribed
         means[:, :3] /= np.maximum(dots(unit(vectors), normals), FACING_COSINE)[:, None]
-    gap, secondary_sagitta, sagitta = means[:, :3].T
+    gap, secondary_sagitta, sagitta = means[:, :3].T  # views of the means, (n,) each
     unpaired: Mask = weights <= LEAST_AREA_PART * nodes.weights
     if primary is None:
         unpaired |= np.abs(gap) > pair.search_limit
@@ -228,6 +229,7 @@ def couple(
         gap[:] = np.maximum(gap, nodes.reduced(np.minimum, integrals.least[:, None], np.inf))
         if not (displaced or facets.has_exact_surface):
             _warn_of_close_fit(comm, str(pair), gap[kept], sagitta[kept])
+
     # the share of each pair of the group in a node's area, from the areas of overlaps
     facet, partner = integrals.pairs.T
     column = partner if primary is None else primary.tag_index[partner]
@@ -235,23 +237,28 @@ def couple(
     shares: Array = np.zeros((len(nodes.numbers), len(group.pairs)))
     areas = np.einsum("nij,njk->ni", spread[facet], integrals.partner)
     np.add.at(shares, (nodes.facet_nodes[facet], pair_index[:, None]), areas)
+
     # rows of the nodes with multipliers alone
     weights, shares = weights[kept], shares[kept]
     shares *= (weights / shares.sum(axis=1))[:, None]
+    # the law at each node is that of the pair that has its multiplier
     owner = group.owners(shares)
     laws = [single.friction for single in group.pairs]
     bonded = np.array([isinstance(law, Bonded) for law in laws])[owner]
     frictionless = np.array([isinstance(law, Frictionless) for law in laws])[owner]
     normals, free, numbers = normals[kept, :dim], nodes.free[kept], nodes.numbers[kept]
     prescribed = np.linalg.norm(normals * free, axis=1) <= FACING_COSINE
-    jump, opposite, friction_acts = (own - opposite)[kept], opposite[kept], free
+    jump, opposite = (own - opposite)[kept], opposite[kept]
+    # axes along which friction may act: where either side is free, if bonded the secondary side
+    mobile = free
     if primary is not None:
-        friction_acts = free | _primary_is_free(opposite, primary) & ~bonded[:, None]
-    has_normal_row, room = _rows_and_room(numbers, opposite, normals, friction_acts, ~prescribed)
-    along, tangent_node = _free_tangents(normals, room)
+        mobile = free | _primary_is_free(opposite, primary) & ~bonded[:, None]
+    has_row, along, tangent_node = _rows_of_patches(numbers, opposite, normals, mobile, ~prescribed)
     rubs = ~frictionless[tangent_node]
+    # distances within rounding of the coordinates are zero
     extent = reduce_array(comm, np.abs(facets.points).max(initial=0.0), MPI.MAX)
-    distance = np.where(bonded | (np.abs(gap[kept]) <= ROUNDING * extent), 0.0, gap[kept])
+    is_zero = bonded | (np.abs(gap[kept]) <= ROUNDING * extent)
+    distance = np.where(is_zero, 0.0, gap[kept])
     return PairOperators(
         bonded=False,
         nodes=(numbers - index_map.local_range[0]).astype(np.int32),
@@ -267,7 +274,7 @@ def couple(
         jump=jump,
         primary=opposite,
         prescribed=prescribed,
-        has_normal_row=has_normal_row,
+        has_normal_row=has_row,
         tangents=along[rubs],
         tangent_node=tangent_node[rubs].astype(np.int32),
         semi_axes=np.ones(rubs.sum()),
@@ -276,18 +283,27 @@ def couple(
 
 
 def _dual_means(
-    nodes: SurfaceNodes, primary: Facets | None, integrals: FacetIntegrals, dual: Array, width: int
-) -> tuple[Any, Any, Array]:
+    nodes: SurfaceNodes,
+    primary: Facets | None,
+    integrals: FacetIntegrals,
+    spread: Array,
+    width: int,
+) -> tuple[Array, Any, Any, Array]:
     """Return means at secondary nodes, weighted with functions of the dual basis.
 
-    The functions have the integral 1, and coefficients `dual` (facets, corners, corners) of hats.
+    The matrices `spread` (facets, corners, corners) are those of `redistribution`.
 
     Returns:
-        sparse matrices (n, `width`) of the means of a displacement over the secondary side and over
-        the primary side, empty for an obstacle; `width` is the number of nodes of V. The means
-        (n, 9) of the six quantities of `FacetIntegrals.means` and of the coordinates.
+        the integrals (n,) of the functions, by which these are divided: the covered areas. Sparse
+        matrices (n, `width`) of the means of a displacement over the secondary side and over the
+        primary side, empty for an obstacle; `width` is the number of nodes of V. The means (n, 9)
+        of the six quantities of `FacetIntegrals.means` and of the coordinates.
     """
     facets, corners = nodes.facets, nodes.facet_nodes
+    weights = nodes.reduced(np.add, np.einsum("nij,njk->ni", spread, integrals.hats), 0.0)
+    scale = 1.0 / np.where(weights > 0.0, weights, 1.0)
+    # coefficients (facets, corners, corners) of hat functions in the functions with integral 1
+    dual = dual_coefficients(integrals.hats, spread) * scale[corners][:, :, None]
     own_rows = dual @ integrals.values  # (facets, corners, k)
     own = assemble_rows(nodes, corners, facets.nodes, own_rows, width)
     opposite = csr_array(own.shape)
@@ -296,13 +312,14 @@ def _dual_means(
         rows = dual[facet] @ integrals.partner
         opposite = assemble_rows(nodes, corners[facet], primary.nodes[partner], rows, width)
     means = np.concatenate([dual @ integrals.means, own_rows @ facets.points], axis=2)
-    return own, opposite, nodes.reduced(np.add, means, 0.0)
+    return weights, own, opposite, nodes.reduced(np.add, means, 0.0)
 
 
 def _warn_of_close_fit(comm: MPI.Comm, pair: str, gap: Array, sagitta: Array) -> None:
     """Warn if nodes (n,) overlap so little that errors of `sagitta` (n,) matter. Collective."""
     greatest = [(-gap).max(initial=0.0), np.abs(sagitta).max(initial=0.0)]
     depth, height = reduce_array(comm, greatest, MPI.MAX)
+    # a press fit has many nodes inside; errors of the sagitta bring in only a few
     inside, count = reduce_array(comm, [int((gap < 0.0).sum()), len(gap)])
     if 0.0 < depth < CLOSE_FIT * height and inside >= FITTED_PART * count:
         warn(
@@ -331,6 +348,7 @@ def dual_coefficients(hats: Array, spread: Array) -> Array:
     # a mass matrix M of a strip is nearly singular; the coefficients (1 + t) D (M + t D)^-1, with
     # the row sums D of M, keep the sum of the basis for any t
     shifted = masses + ROUNDING * weights * every
+    # corners without a function have zero rows: 1 on the diagonal makes the matrix regular
     shifted += np.logical_not(masses.any(axis=2))[:, :, None] * every
     return np.asarray((1.0 + ROUNDING) * weights * np.linalg.inv(shifted) @ spread)
 
@@ -341,6 +359,7 @@ def redistribution(receives: Mask) -> Array:
     The values of corners that do not receive are added in equal parts to those of the others, so
     that the sum over a facet does not change. If no corner receives, the matrix is zero.
     """
+    # column j of a matrix distributes the value at corner j: a corner that receives keeps its value
     count = np.maximum(receives.sum(axis=1), 1)[:, None, None]
     shares = np.where(receives[:, None], np.eye(receives.shape[1]), 1.0 / count)
     return np.asarray(shares * receives[:, :, None])
@@ -357,9 +376,11 @@ def assemble_rows(
     row, column = np.repeat(rows, values.shape[2], axis=1), np.tile(columns, values.shape[1])
     entries = values.ravel(), (row.ravel(), column.ravel())
     result = coo_array(entries, shape=(len(nodes.numbers), width)).tocsr()
+    # the largest entry (n,) of each row that counts as rounding
     rounding = nodes.reduced(np.maximum, nodes.facets.rounding[:, None], 0.0)
     rounding *= ENTRY_ROUNDING * abs(result).sum(axis=1)
-    result.data[np.abs(result.data) <= np.repeat(rounding, np.diff(result.indptr))] = 0.0
+    least = np.repeat(rounding, np.diff(result.indptr))  # for each entry
+    result.data[np.abs(result.data) <= least] = 0.0
     result.eliminate_zeros()
     return result
 
@@ -370,19 +391,22 @@ def _primary_is_free(primary: Any, facets: Facets) -> Mask:
     `primary` (n, nodes of V) are the means over the primary side: only corners whose entries are
     not `NEGLIGIBLE` count. A node opposite to none is free along no axis.
     """
-    columns, row = primary.indices, np.repeat(np.arange(primary.shape[0]), np.diff(primary.indptr))
+    entries = np.diff(primary.indptr)  # their number in each row
+    row = np.repeat(np.arange(len(entries)), entries)
     counts = np.abs(primary.data) > NEGLIGIBLE
-    result = np.repeat((np.diff(primary.indptr) > 0)[:, None], facets.free.shape[2], axis=1)
+    result = np.repeat((entries > 0)[:, None], facets.free.shape[2], axis=1)
     for axis in range(facets.free.shape[2]):
         prescribed = facets.nodes[:, : facets.corners][~facets.free[:, :, axis]]
-        result[row[counts & np.isin(columns, prescribed)], axis] = False
+        result[row[counts & np.isin(primary.indices, prescribed)], axis] = False
     return result
 
 
-def _rows_and_room(
+def _rows_of_patches(
     numbers: GlobalNumbers, means: Any, normals: Array, free: Mask, moves: Mask
-) -> tuple[Mask, Array]:
-    """Return which patches (n,) have rows of N; and projections (n, d, d), the room for friction.
+) -> tuple[Mask, Array, Indices]:
+    """Return which patches (n,) have rows of N; and the tangents of rows of T, with their patch.
+
+    The tangents (n_tangential, d) are directions along which friction may act.
 
     Patches of a node that face the same place, such as an edge in a groove with matching nodes,
     have the same jump: each has a row of N as long as these are linearly independent, and friction
@@ -394,14 +418,18 @@ def _rows_and_room(
     and `moves` (n,), whether the displacement is free along the normal, for patches that are alone.
     """
     has_row = moves.copy()
+    # projections (n, d, d) onto the directions along which friction may act, the room for it
     room = free[:, :, None] * np.eye(free.shape[1])
+    # which patches face the same place as the next: those of the same node, with the same means
     together = numbers[1:] == numbers[:-1]
     if together.any():
         lighter, heavier = means[:-1][together], means[1:][together]
         squares = (lighter.power(2) + heavier.power(2)).sum(axis=1)
         together[together] = (lighter - heavier).power(2).sum(axis=1) <= SAME_MEANS**2 * squares
-    # runs of patches that face the same place; most nodes have a single patch
-    starts, ends = np.flatnonzero(np.diff(together, prepend=False, append=False)).reshape(-1, 2).T
+    # runs of such patches; most nodes have a single patch. From the patch with the largest weight
+    # on, the last, the normal of each takes its direction away from the room that is left
+    limits = np.flatnonzero(np.diff(together, prepend=False, append=False))
+    starts, ends = limits.reshape(-1, 2).T
     for start, end in zip(starts, ends, strict=True):
         left = room[end].copy()
         for i in range(end, start - 1, -1):
@@ -411,21 +439,14 @@ def _rows_and_room(
             if has_row[i]:
                 left -= np.outer(own, own) / length**2
             room[i] = 0.0
-        room[end] = left  # the last patch has the largest weight
-    return has_row, room
+        room[end] = left
 
-
-def _free_tangents(normals: Array, room: Array) -> tuple[Array, Indices]:
-    """Return the tangents (n_tangential, d) along which friction may act, and the node of each.
-
-    They are in the range of `room` (n, d, d), see `_rows_and_room`; normals are (n, d).
-    """
     along = tangents(normals)
-    limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     keep = np.ones(along.shape[:2], dtype=np.bool_)
-    # if not all directions are available, rotate the tangents to eigenvectors of the projection
+    # where not all directions are available, rotate the tangents to eigenvectors of the projection
+    limited = np.flatnonzero((room != np.eye(normals.shape[1])).any(axis=(1, 2)))
     mobility = np.einsum("nai,nij,nbj->nab", along[limited], room[limited], along[limited])
     values, vectors = np.linalg.eigh(mobility)
     along[limited] = np.einsum("nba,nbi->nai", vectors, along[limited])
     keep[limited] = values > FACING_COSINE
-    return along[keep], np.nonzero(keep)[0]
+    return has_row, along[keep], np.nonzero(keep)[0]

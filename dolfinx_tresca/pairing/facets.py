@@ -146,10 +146,6 @@ class Facets:
         """Return the basis functions (q, k) of the displacement at reference points (q, dim)."""
         return np.asarray(tabulate(self.cell, self.degree, 0, x)[0])
 
-    def points_at(self, x: Array) -> Array:
-        """Return the points (n, q, 3) of all facets at reference points (q, dim) [length]."""
-        return np.asarray(self.basis(x) @ self.points)
-
     def selected(self, index: Indices) -> Facets:
         """Return the facets with indices (m,)."""
         return replace(self, **{name: getattr(self, name)[index] for name in FACET_ARRAYS})
@@ -157,20 +153,20 @@ class Facets:
     def moved_to(self, points: Array) -> Facets:
         """Return the facets with nodes at points (n, k, 3); `bent` is that of this rank."""
         displaced = replace(self, points=points)
-        if self.has_exact_surface:  # the offsets turn with the facets
-            local = np.einsum("nqi,ndi->nqd", self.offsets, self.frames())
-            offsets = np.einsum("nqd,ndi->nqi", local, displaced.frames())
+        if self.has_exact_surface:
+            # the offsets turn with the facets: they keep their components along axes of these
+            axes = frames_along(self.points[:, 1] - self.points[:, 0], self.mean_normals)
+            turned_axes = frames_along(points[:, 1] - points[:, 0], displaced.mean_normals)
+            components = np.einsum("nqi,ndi->nqd", self.offsets, axes)
+            offsets = np.einsum("nqd,ndi->nqi", components, turned_axes)
             displaced = replace(displaced, offsets=offsets)
+        # a facet is bent if its nodes are not where they would be if all its edges were straight
         corners = points[:, : self.corners]
         straight = self.hats(self.lagrange_points(self.degree)) @ corners
         sizes = np.ptp(corners, axis=1).max(axis=1)
         rounding = MESH_ROUNDING + rounding_of(corners)
         bent = bool((np.abs(points - straight).max(axis=(1, 2)) > rounding * sizes).any())
         return replace(displaced, bent=bent)
-
-    def frames(self) -> Array:
-        """Return the axes (n, 3, 3) of `frames_along` for the first two corners of each facet."""
-        return frames_along(self.points[:, 1] - self.points[:, 0], self.mean_normals)
 
     def area_vectors(self, x: Array) -> Array:
         """Return outward normals (n, q, 3), as long as area elements, at reference x (q, dim)."""
@@ -181,7 +177,10 @@ class Facets:
     def area_elements(self, x: Array) -> Array:
         """Return area elements (n, q), of rings if axisymmetric, at reference points (q, dim)."""
         areas: Array = np.linalg.norm(self.area_vectors(x), axis=2)
-        return 2.0 * np.pi * self.points_at(x)[:, :, 0] * areas if self.axisymmetric else areas
+        if self.axisymmetric:
+            radii = (self.basis(x) @ self.points)[:, :, 0]
+            areas = 2.0 * np.pi * radii * areas
+        return areas
 
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
         """Return `area_vectors` (m, 3) of facets (m,), each at its own reference point (m, dim)."""
@@ -205,10 +204,11 @@ class Facets:
 
     def exact_normals_at(self, facet: Indices, x: Array) -> Array:
         """Return outward unit normals (m, 3) of the exact surface; see `offsets_at`."""
-        along = sum(
-            np.einsum("dmk,mki->dmi", tabulate(self.cell, degree, 1, x)[1:], vectors[facet])
-            for degree, vectors in ((self.degree, self.points), (OFFSET_DEGREE, self.offsets))
-        )
+        # tangents of the exact surface: gradients of the points of the facet plus offsets
+        gradients = tabulate(self.cell, self.degree, 1, x)[1:]
+        offset_gradients = tabulate(self.cell, OFFSET_DEGREE, 1, x)[1:]
+        along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
+        along = along + np.einsum("dmk,mki->dmi", offset_gradients, self.offsets[facet])
         return unit(cross_products(along) * self.outward[facet, None])
 
 
@@ -227,7 +227,9 @@ def rounding_of(points: Array) -> Array:
 
 def cross_products(along: Array) -> Array:
     """Return the cross products (..., 3) of two tangents (2, ..., 3), or of one tangent and e_z."""
-    return cross(along[0], along[1] if len(along) == 2 else np.array([0.0, 0.0, 1.0]))
+    if len(along) == 2:
+        return cross(along[0], along[1])
+    return cross(along[0], np.array([0.0, 0.0, 1.0]))
 
 
 @cache
@@ -261,9 +263,10 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
     if facets.affine:
         return x
     for _ in range(NEWTON_STEPS):
-        table = tabulate(facets.cell, facets.degree, 1, x)
+        table = tabulate(facets.cell, facets.degree, 1, x)  # values, then gradients
         defect = target - np.einsum("nk,nki->ni", table[0], nodes)
-        step = _solve(np.einsum("jnk,nki->nij", table[1:], nodes), defect)
+        jacobians = np.einsum("jnk,nki->nij", table[1:], nodes)
+        step = _solve(jacobians, defect)
         x = x + step
         if np.abs(step).max(initial=0.0) <= ROUNDING:
             break
@@ -275,7 +278,7 @@ def _solve(matrix: Array, right: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         if matrix.shape[1] == 1:
             result = right / matrix[:, 0]
-        else:
+        else:  # Cramer's rule
             (a, b), (c, d) = np.moveaxis(matrix, 0, 2)
             x, y = right.T
             result = np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None]
@@ -303,7 +306,20 @@ class SurfaceNodes:
         """Find the nodes at the corners of facets, and their smooth patches."""
         self.facets, corners = facets, facets.corners
         unique, node_of_corner = np.unique(facets.nodes[:, :corners], return_inverse=True)
-        normals, normal_weights = _corner_normals(facets)
+        # normals of facets at their corners, with the weight sin(angle) / (|a| |b|) for the two
+        # sides a and b that meet there, in 2D 1 / length: the weighted mean is exact on a sphere
+        # (Max 1999, Weights for computing vertex normals from facet normals)
+        normals = unit(facets.area_vectors(facets.lagrange_points(1)))  # (facets, corners, 3)
+        order = facets.corners_round
+        place = np.argsort(order)  # the place of each corner in the order round the facet
+        corner_points = facets.points[:, :corners]
+        before = corner_points[:, order[place - 1]] - corner_points
+        after = corner_points[:, np.roll(order, -1)[place]] - corner_points
+        squares = np.square(before).sum(axis=2) * np.square(after).sum(axis=2)
+        if facets.dim == 1:
+            normal_weights = squares**-0.25
+        else:
+            normal_weights = np.linalg.norm(cross(before, after), axis=2) / squares
         patch, node_of_patch = smooth_patches(node_of_corner.ravel(), normals.reshape(-1, 3))
         x, w = quadrature(facets.cell, 2 * facets.degree + 2)
         corner_weights = facets.area_elements(x) @ (facets.hats(x) * w[:, None])
@@ -316,8 +332,8 @@ class SurfaceNodes:
         self.facet_nodes: Indices = entry_of_patch[patch].reshape(-1, corners)
         vectors = self.reduced(np.add, normal_weights[:, :, None] * normals, 0.0)
         total_weights = self.reduced(np.add, normal_weights, 0.0)
-        corner = np.unique(self.facet_nodes, return_index=True)[1]  # any corner at each entry
-        self.points: Array = facets.points[:, :corners].reshape(-1, 3)[corner]
+        _, corner = np.unique(self.facet_nodes, return_index=True)  # any corner at each entry
+        self.points: Array = corner_points.reshape(-1, 3)[corner]
         self.free: Mask = facets.free.reshape(-1, facets.free.shape[2])[corner]
         self.has_no_normal = np.linalg.norm(vectors, axis=1) <= NEGLIGIBLE * total_weights
         # any unit vector for the error message's sake
@@ -332,27 +348,6 @@ class SurfaceNodes:
         result = np.full((len(self.numbers), *values.shape[2:]), initial)
         ufunc.at(result, self.facet_nodes[facets], values)
         return result
-
-
-def _corner_normals(facets: Facets) -> tuple[Array, Array]:
-    """Return outward unit normals (n, corners, 3) of facets at their corners, and their weights.
-
-    The weight (n, corners) is sin(angle) / (|a| |b|) for the two sides a and b that meet in the
-    corner; in 2D it is 1 / length of the segment. The weighted sum is exact on a sphere (Max 1999,
-    Weights for computing vertex normals from facet normals).
-    """
-    corners = facets.points[:, : facets.corners]
-    normals = unit(facets.area_vectors(facets.lagrange_points(1)))
-    order = facets.corners_round
-    place = np.argsort(order)  # the place of each corner in the order round the facet
-    before = corners[:, order[place - 1]] - corners
-    after = corners[:, np.roll(order, -1)[place]] - corners
-    squares = np.square(before).sum(axis=2) * np.square(after).sum(axis=2)
-    if facets.dim == 1:
-        weights = squares**-0.25
-    else:
-        weights = np.linalg.norm(cross(before, after), axis=2) / squares
-    return normals, weights
 
 
 def free_normals(vectors: Array, free: Mask) -> Array:

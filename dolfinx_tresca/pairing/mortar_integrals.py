@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from mpi4py import MPI
 
@@ -86,10 +85,6 @@ class FacetIntegrals:
     partner: Array
 
 
-#: The pieces and the smooth surface of the secondary side, and those of the primary side.
-Sides: TypeAlias = tuple[tuple[Pieces, SmoothSurface], tuple[Pieces, SmoothSurface]]
-
-
 class _PointsOfSide:
     """Points of one side's facets, over quadrature points in the planes of secondary pieces.
 
@@ -128,25 +123,22 @@ class _CutOverlaps:
         primary: the points of the primary facets over them, opposite to these.
     """
 
-    def __init__(
-        self, sides: Sides, piece: Indices, partner_piece: Indices, points: Array, rounding: Array
-    ) -> None:
-        """Cut the overlaps of pairs of pieces; drop areas up to the `rounding` (pieces,).
-
-        The quadrature `points` (q, dim + 1) of a simplex are given in barycentric coordinates.
-        """
-        (pieces, surface), (partners, partner_surface) = sides
+    def __init__(self, mortar: MortarIntegrals, piece: Indices, partner_piece: Indices) -> None:
+        """Cut the overlaps of pairs of pieces of both sides; drop areas that are rounding."""
+        pieces, partners = mortar._pieces, mortar._partners
+        surface, partner_surface = mortar._surface, mortar._partner_surface
         self.piece, self.partner_piece = piece, partner_piece
         self.facet, self.partner = pieces.facet[piece], partners.facet[partner_piece]
         simplices, areas, pair = overlaps(
             pieces.local_coordinates(piece, pieces.points[piece])[:, :, :-1],
             pieces.local_coordinates(piece, partners.points[partner_piece])[:, :, :-1],
         )
-        large = areas > rounding[piece][pair]
+        large = areas > mortar._rounding[piece][pair]
         self.simplices, self.areas, self.pair = simplices[large], areas[large], pair[large]
-        places = np.einsum("qc,mcd->mqd", points, self.simplices)
+        places = np.einsum("qc,mcd->mqd", mortar._barycentric, self.simplices)
         self.places = places.reshape(-1, simplices.shape[2])
-        self.pair_of_point = point = np.repeat(self.pair, len(points))
+        self.pair_of_point = point = np.repeat(self.pair, len(mortar._barycentric))
+        # the nodes of both facets of each pair, in the frame of the secondary piece
         own = pieces.local_coordinates(piece, surface.facets.points[self.facet])[point]
         self.secondary = _PointsOfSide(surface, self.facet[point], own, self.places)
         theirs = pieces.local_coordinates(piece, partner_surface.facets.points[self.partner])[point]
@@ -194,7 +186,8 @@ class MortarIntegrals(FacetIntegrals):
         # the map from values at these points to those of their best quadratic fit on a grid
         grid = basix.create_lattice(basix.CellType[simplex], 4, basix.LatticeType.equispaced, True)
         degree = 2 if len(w) >= 3 * facets.dim else 1  # flat surfaces have linear distances
-        fit, on_grid = (tabulate(simplex, degree, 0, points)[0] for points in (x, grid))
+        fit = tabulate(simplex, degree, 0, x)[0]
+        on_grid = tabulate(simplex, degree, 0, grid)[0]
         self._to_grid = np.linalg.pinv(fit).T @ on_grid.T
         self._area, count = self._pieces.areas, len(self._pieces.facet)
         self._rounding = rounding_of(self._pieces.points) * self._area
@@ -219,8 +212,9 @@ class MortarIntegrals(FacetIntegrals):
             self._integrate(*block, reach)
         missing = self._covered < (1.0 - MISMATCH) * self._area
         self.full = np.bincount(self._pieces.facet, missing, minlength=n) == 0.0
-        arrays = zip(*self._overlaps, strict=True)
-        self.pairs, self.partner, self.exchanged = map(np.concatenate, arrays)
+        pairs, partner, exchanged = zip(*self._overlaps, strict=True)
+        self.pairs, self.partner = np.concatenate(pairs), np.concatenate(partner)
+        self.exchanged = np.concatenate(exchanged)
         # the integrals are kept, but not what they were computed with, a third of the memory
         del self._overlaps, self._pieces, self._partners, self._visibility
         del self._surface, self._partner_surface
@@ -261,8 +255,7 @@ class MortarIntegrals(FacetIntegrals):
         distance [length]. With `covered_only`, nothing is added on pieces that these pairs do not
         cover fully. Return which pieces (pieces,) they cover fully, exchanged pairs included.
         """
-        sides = (self._pieces, self._surface), (self._partners, self._partner_surface)
-        cut = _CutOverlaps(sides, secondary, primary, self._barycentric, self._rounding)
+        cut = _CutOverlaps(self, secondary, primary)
         seen = self._seen_weights(cut, limit)
         # where the roles are exchanged, points cover the piece, but are not integrated over
         weight, is_exchanged = seen, np.zeros(len(primary), dtype=np.bool_)
@@ -271,16 +264,26 @@ class MortarIntegrals(FacetIntegrals):
             is_exchanged[cut.pair_of_point[is_primary & (seen > 0.0)]] = True
             weight = seen * ~is_primary
         means, q = self._quantities(cut), len(self._weights)
-        # least distance of each simplex
+        # least distance over each simplex that has weight
         least = (means[:, 0].reshape(-1, q) @ self._to_grid).min(axis=1)
         least[~(weight.reshape(-1, q) > 0.0).any(axis=1)] = np.inf
+
         # sums over each of the pairs that overlap: its simplices follow each other from a start on
         pairs, starts = np.unique(cut.pair, return_index=True)
         piece, area = secondary[pairs], np.add.reduceat(weight, starts * q)
         seen_area = np.bincount(piece, np.add.reduceat(seen, starts * q), minlength=len(limit))
         covered: Mask = seen_area >= (1.0 - MISMATCH) * self._area
         added = covered[piece] if covered_only else np.ones(len(pairs), dtype=np.bool_)
-        weighted_hats = self._surface_weights(cut, weight)[:, None] * cut.hats
+
+        # the weights in the planes of pieces become weights on the facets, or on rings
+        facets, own = self._surface.facets, cut.secondary
+        if not facets.affine:
+            vectors = facets.area_vectors_at(own.facet, own.x)
+            in_plane = np.abs(dots(vectors, self._pieces.normals[cut.piece[cut.pair_of_point]]))
+            weight = weight * np.linalg.norm(vectors, axis=1) / in_plane
+        if facets.axisymmetric:
+            weight = weight * 2.0 * np.pi * dots(own.values, facets.points[own.facet, :, 0])
+        weighted_hats = weight[:, None] * cut.hats
         left = weighted_hats.reshape(-1, q, cut.hats.shape[1]).transpose(0, 2, 1)
 
         def products(right: Array) -> Array:
@@ -288,9 +291,11 @@ class MortarIntegrals(FacetIntegrals):
             of_simplices = left @ right.reshape(-1, q, right.shape[1])
             return np.asarray(np.add.reduceat(of_simplices, starts, axis=0))
 
-        facet, values = cut.facet[pairs][added], cut.secondary.values
-        for total, integrand in ((self.hats, cut.hats), (self.values, values), (self.means, means)):
-            np.add.at(total, facet, products(integrand)[added])
+        # add the integrals over the pairs that count to those of their facets
+        facet = cut.facet[pairs][added]
+        np.add.at(self.hats, facet, products(cut.hats)[added])
+        np.add.at(self.values, facet, products(own.values)[added])
+        np.add.at(self.means, facet, products(means)[added])
         np.minimum.at(self.least, facet, np.minimum.reduceat(least, starts)[added])
         np.add.at(self._covered, piece[added], area[added])
         both: Indices = np.column_stack([cut.facet, cut.partner])[pairs]
@@ -306,9 +311,11 @@ class MortarIntegrals(FacetIntegrals):
         not far behind the nearest one that faces the piece (`FACET_LENGTH`).
         """
         secondary, primary, q = cut.secondary, cut.primary, len(self._weights)
-        piece, apart = cut.piece[cut.pair_of_point], primary.height - secondary.height
+        piece = cut.piece[cut.pair_of_point]
+        apart = primary.height - secondary.height
         # a simplex is hidden as a whole, if it is at its centre, with mean heights
-        low, high = (side.height.reshape(-1, q) @ self._weights for side in (secondary, primary))
+        low = secondary.height.reshape(-1, q) @ self._weights
+        high = primary.height.reshape(-1, q) @ self._weights
         centres, partner = cut.simplices.mean(axis=1), cut.partner_piece[cut.pair]
         hidden = self._visibility.hidden(cut.piece[cut.pair], centres, low, high, partner)
         weight = (cut.areas[:, None] * self._weights).ravel()
@@ -358,29 +365,20 @@ class MortarIntegrals(FacetIntegrals):
         result[a[inside], point[inside] % q] = 0.0
         return result.ravel()
 
-    def _surface_weights(self, cut: _CutOverlaps, weight: Array) -> Array:
-        """Convert quadrature weights (points,) in the planes to weights on facets, or rings."""
-        facets, side = self._surface.facets, cut.secondary
-        if not facets.affine:
-            vectors = facets.area_vectors_at(side.facet, side.x)
-            in_plane = np.abs(dots(vectors, self._pieces.normals[cut.piece[cut.pair_of_point]]))
-            weight = weight * np.linalg.norm(vectors, axis=1) / in_plane
-        if facets.axisymmetric:
-            weight = weight * 2.0 * np.pi * dots(side.values, facets.points[side.facet, :, 0])
-        return weight
-
     def _quantities(self, cut: _CutOverlaps) -> Array:
         """Return the six quantities (points, 6) whose means are `FacetIntegrals.means`."""
         surface, partner_surface, point = self._surface, self._partner_surface, cut.pair_of_point
         facets, own, theirs = surface.facets, cut.secondary, cut.primary
-        lean, sides = own.normals + theirs.normals, ((surface, own), (partner_surface, theirs))
-        turns = (smooth.turns_along(side.facet, lean, to_ends=True) for smooth, side in sides)
-        normals = contact_normals(own.normals, theirs.normals, *turns)
+        lean = own.normals + theirs.normals
+        turns = surface.turns_along(own.facet, lean, to_ends=True)
+        partner_turns = partner_surface.turns_along(theirs.facet, lean, to_ends=True)
+        normals = contact_normals(own.normals, theirs.normals, turns, partner_turns)
         # where facets coincide, so do the surfaces: at the rim of one side the fitted ones differ
         is_fitted = not facets.has_exact_surface
         coincide = facets.coincide(cut.facet, partner_surface.facets, cut.partner)[point]
         equal = (is_fitted & coincide)[:, None]
-        to_surface, to_partner = (np.where(equal, 0.0, side.to_surface) for side in (own, theirs))
+        to_surface = np.where(equal, 0.0, own.to_surface)
+        to_partner = np.where(equal, 0.0, theirs.to_surface)
         secondary_sagitta = (is_fitted & ~coincide) * surface.heights(own.facet, cut.hats)
         sagitta = dots(to_surface - to_partner, normals)
         # not the distance of the facets minus both heights: if these are much larger than the
@@ -412,14 +410,16 @@ def obstacle_integrals(
         nodes = copy(nodes)
         nodes.facet_nodes = entry[nodes.facet_nodes]
         at_corners = obstacle.at(nodes.points)[1][nodes.facet_nodes]
-        centres = facets.points_at(centre)[:, 0]
+        centres = (facets.basis(centre) @ facets.points)[:, 0]
         _, at_centres = obstacle.at(centres)
+
         # A facet faces the obstacle at a corner if the normals are opposed there and at the centre:
         # at an edge in a corner between two walls, the facets in front of the nearest wall do.
         corner_normals = unit(facets.area_vectors(facets.lagrange_points(1)))
         faces: Mask = dots(corner_normals, at_corners) < -FACING_COSINE
         faces &= (dots(facets.mean_normals, at_centres) < -FACING_COSINE)[:, None]
         facing = np.asarray(faces.any(axis=1))
+
         # nodes have the obstacle's normal if the mesh resolves its turns, else the mean of both
         turns = turned_angles(dots(at_corners, at_centres[:, None])) * facing
         at_node = nodes.reduced(np.maximum, turns[:, None], 0.0)[nodes.facet_nodes]
@@ -427,70 +427,56 @@ def obstacle_integrals(
         mean_normals = contact_normals(surface.corner_normals, at_corners, own_turns, at_node)
         unresolved = np.clip(at_node / RESOLVED_ANGLE - 1.0, 0.0, 1.0)[:, :, None]
         normals = unresolved * mean_normals - (1.0 - unresolved) * at_corners
-        integrals = _nodal_integrals(obstacle, surface, normals, facing)
+
+        # distances are interpolated between the nodes of the displacement, normals between corners
+        every = np.arange(len(facing))
+        distance, _ = _at(obstacle, surface.points(every, facets.lagrange_points(facets.degree)))
+        height = _at(obstacle, facets.points)[0] - distance
+        at_nodes = np.stack([distance, height, height], axis=2)
+        # integrals over the facets that face the obstacle, zero over the others
+        x, w = quadrature(facets.cell, 4 * facets.degree + 2)
+        weighted = (facets.area_elements(x) * w * facing[:, None])[:, None] * facets.hats(x).T
+        hats, values = weighted @ facets.hats(x), weighted @ facets.basis(x)
+        means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
+        least, full = distance.min(axis=1, initial=np.inf), np.ones(len(every), dtype=np.bool_)
+        pairs = np.column_stack([every, np.zeros_like(every)])
+        integrals = FacetIntegrals(hats, values, means, least, full, pairs, hats)
+
         # nodes see a hollow obstacle, such as a corner between walls, before all other points do
         spread = facets.points[:, : facets.corners] - centres[:, None]
         turns *= dots(spread, at_corners - at_centres[:, None]).sum(axis=1) > 0.0
         near = _see_between_nodes(obstacle, nodes, surface, turns, integrals)
-    if not displaced:
-        # the least distance that nodes see, or means over the facets around them
-        seen = integrals.least.copy()
-        gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
-        areas = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
-        corners = nodes.facet_nodes[near]
-        seen[near] = (gaps[corners] / areas[corners]).min(axis=1, initial=np.inf)
-        front = np.flatnonzero(facing)
-        with errors_on_all_ranks(comm):
-            points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
-            depth = -_at(obstacle, points)[0].min(axis=1, initial=0.0)
-        extent = np.abs(points).max(initial=0.0)
-        _warn_of_unseen(comm, pair, depth, np.maximum(-seen[front], 0.0), turns[front], extent)
-    return nodes, integrals, faces
+    if displaced:
+        return nodes, integrals, faces
 
-
-def _nodal_integrals(
-    obstacle: RigidObstacle, surface: SmoothSurface, normals: Array, facing: Mask
-) -> FacetIntegrals:
-    """Return the integrals over facets that face an obstacle, `facing` (n,), zero over the others.
-
-    Distances are interpolated between the nodes of the displacement, and the contact `normals`
-    (n, corners, 3) between corners. `least` is the least distance at a node of the facet.
-    """
-    facets, every = surface.facets, np.arange(len(facing))
-    distance, _ = _at(obstacle, surface.points(every, facets.lagrange_points(facets.degree)))
-    height = _at(obstacle, facets.points)[0] - distance
-    x, w = quadrature(facets.cell, 4 * facets.degree + 2)
-    weighted = (facets.area_elements(x) * w * facing[:, None])[:, None] * facets.hats(x).T
-    hats, values = weighted @ facets.hats(x), weighted @ facets.basis(x)
-    at_nodes = np.stack([distance, height, height], axis=2)
-    means = np.concatenate([values @ at_nodes, hats @ normals], axis=2)
-    least, full = distance.min(axis=1, initial=np.inf), np.ones(len(every), dtype=np.bool_)
-    pairs = np.column_stack([every, np.zeros_like(every)])
-    return FacetIntegrals(hats, values, means, least, full, pairs, hats)
-
-
-def _warn_of_unseen(
-    comm: MPI.Comm, pair: ContactPair, depth: Array, seen: Array, turns: Array, extent: float
-) -> None:
-    """Warn if an obstacle enters facets (n,) farther than the mesh sees. Collective.
-
-    `depth` (n,) is how far it enters, `seen` (n,) the depth at nodes, or of means around them, and
-    `extent` the largest coordinate [length]; `turns` (n,) is how far its normal turns [rad].
-    """
-    greatest = [array.max(initial=0.0) for array in (depth, depth - seen, turns * (depth > 0.0))]
-    deepest, unseen, angle, extent = reduce_array(comm, [*greatest, extent], MPI.MAX)
+    # warn if the obstacle enters facets farther than the mesh sees: what it sees is the least
+    # distance at nodes, or of means over the facets around them
+    seen = integrals.least.copy()
+    gaps = nodes.reduced(np.add, integrals.means[near, :, 0], 0.0, near)
+    areas = nodes.reduced(np.add, integrals.hats[near].sum(axis=2), 0.0, near)
+    corners = nodes.facet_nodes[near]
+    seen[near] = (gaps[corners] / areas[corners]).min(axis=1, initial=np.inf)
+    front = np.flatnonzero(facing)
+    with errors_on_all_ranks(comm):
+        points = surface.points(front, facets.lagrange_points(OFFSET_DEGREE))
+        depth = -_at(obstacle, points)[0].min(axis=1, initial=0.0)
+    unseen = depth - np.maximum(-seen[front], 0.0)
+    entered_turns = turns[front] * (depth > 0.0)
+    greatest = [array.max(initial=0.0) for array in (depth, unseen, entered_turns, np.abs(points))]
+    deepest, most_unseen, angle, extent = reduce_array(comm, greatest, MPI.MAX)
     rounding = ROUNDING * extent
     is_coarse = angle > COARSE_ANGLE and deepest > rounding
-    if is_coarse or unseen > max(UNSEEN_PART * deepest, rounding):
+    if is_coarse or most_unseen > max(UNSEEN_PART * deepest, rounding):
         warn(
             comm,
             "contact pair %s: the obstacle enters facets by up to %.3g, and the mesh does not "
             "see %.3g of it; its normal turns by %.0f degrees over a facet: forces are "
             "inaccurate, and may be zero. Use facets a third as large as the radius of the "
             "obstacle.",
-            *(pair, deepest, unseen, math.degrees(angle)),
+            *(pair, deepest, most_unseen, math.degrees(angle)),
             about=str(pair),
         )
+    return nodes, integrals, faces
 
 
 def _at(obstacle: RigidObstacle, points: Array) -> tuple[Array, Array]:
@@ -530,7 +516,7 @@ def _see_between_nodes(
     distance, outward = _at(obstacle, points)
     own = unit(hats @ surface.corner_normals[near])
     normals = contact_normals(own, outward, surface.turns[near, None], turns[:, None])
-    above = dots(close.points_at(x) - points, outward)
+    above = dots(facets.basis(x) @ close.points - points, outward)
     seen = np.dstack([distance, above, above, normals])
     # weights (m, corners, points): the hat function times the exponential function, scaled such
     # that a node keeps its area. An arc over a chord of length l has the height turn l / 8

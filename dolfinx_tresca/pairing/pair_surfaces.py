@@ -25,7 +25,7 @@ from dolfinx_tresca.pairing.coupling import corners_that_carry, couple
 from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
 from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
-from dolfinx_tresca.pairing.pieces import at_own_nodes, halos, owners_flags, owns, with_neighbours
+from dolfinx_tresca.pairing.pieces import halos, owners_flags, owns, with_neighbours
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed, groups_of
 from dolfinx_tresca.pairing.visibility import SelfContact, redundant_nodes
 from dolfinx_tresca.scene.friction import Bonded
@@ -85,21 +85,36 @@ def _pair(
     else:
         nodes, primary, integrals, shared = _overlap_integrals(V, group, sides, displaced)
         carries = corners_that_carry(V, nodes, integrals, shared)
-    group_operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, displaced)
+    operators = couple(V, undeformed, nodes, primary, integrals, carries, shared, displaced)
     if not displaced and pair.pairing == "nodes" and primary is not None:
-        _check_meshes_match(V, pair, group_operators, nodes)
+        # On matching meshes the mean over each side is the value of a single node, with the weight
+        # 1. At a distance of t facets its weight is 1 - t: sums of squares differ by 2 t.
+        squares = operators.secondary.power(2) - operators.primary.power(2)
+        differ = np.abs(squares.sum(axis=1))
+        apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
+        away = operators.nodes[apart]
+        number = comm.allreduce(len(np.unique(away)))
+        if number > 0:
+            place = row_of_least(comm, -differ[apart], V.tabulate_dof_coordinates()[away])
+            raise PairingError(
+                f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: '
+                f"{number} nodes of the secondary side ({pair.side('secondary')}) face the primary "
+                f"side ({pair.side('primary')}) away from its nodes, most of all at "
+                f"{shown_place(place)}. Mesh both surfaces alike, or leave out the argument: "
+                "mortar pairing needs no matching meshes."
+            )
     if not displaced and len(group.pairs) > 1:
-        areas = reduce_array(comm, group_operators.shares.sum(axis=0))
+        areas = reduce_array(comm, operators.shares.sum(axis=0))
         for single, area in zip(group.pairs, areas, strict=True):
             if area == 0.0 and single.sliding == "small":
                 raise PairingError(
                     f"the surfaces of contact pair {single} do not face each other. Check the tags"
                     f"{'' if pair.search_distance is None else ' and the search distance'}."
                 )
-        group.say_laws(comm, group_operators.shares)
-    owner = group.owners(group_operators.shares)
+        group.say_laws(comm, operators.shares)
+    owner = group.owners(operators.shares)
     return [
-        replace(group_operators.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
+        replace(operators.at_nodes(owner == k), bonded=isinstance(single.friction, Bonded))
         for k, single in enumerate(group.pairs)
     ]
 
@@ -124,13 +139,16 @@ def _overlap_integrals(
     facets, primary = nodes.facets, primary_nodes.facets
 
     def tags_may_meet(facet: Indices, partner: Indices) -> Mask:
+        """Return whether a pair of the group has the tags of both facets, (m,) each."""
         pair_of_facets = group.pair_of_tags[facets.tag_index[facet], primary.tag_index[partner]]
         return np.asarray(pair_of_facets >= 0)
 
     with errors_on_all_ranks(comm):
-        selected, limit = at_own_nodes(V, facets), pair.search_limit
+        # this rank integrates over the facets with a corner that it owns
+        selected = np.flatnonzero(owns(V, facets.nodes[:, : facets.corners]).any(axis=1))
         order = SelfContact(facets) if pair.touches_itself else None
         may_meet = tags_may_meet if order is None else order.may_meet
+        limit = pair.search_limit
         integrals = MortarIntegrals(nodes, primary_nodes, selected, limit, may_meet, order)
         shared = np.isin(nodes.numbers, primary.nodes)
         if order is not None:
@@ -140,56 +158,28 @@ def _overlap_integrals(
     return nodes, primary, integrals, shared
 
 
-def _check_meshes_match(
-    V: Any, pair: ContactPair, operators: PairOperators, nodes: SurfaceNodes
-) -> None:
-    """Raise PairingError unless each contact node is opposite to a primary node. Collective.
-
-    On matching meshes the mean over each side is the value of a single node, with the weight 1. At
-    a distance of t facets from a primary node its weight is 1 - t: sums of squares differ by 2 t.
-    """
-    differ = np.abs((operators.secondary.power(2) - operators.primary.power(2)).sum(axis=1))
-    apart = differ > 2.0 * MISMATCH + 100.0 * nodes.facets.rounding.max(initial=0.0)
-    away = operators.nodes[apart]
-    count = V.mesh.comm.allreduce(len(np.unique(away)))
-    if count > 0:
-        place = row_of_least(V.mesh.comm, -differ[apart], V.tabulate_dof_coordinates()[away])
-        raise PairingError(
-            f'the meshes of contact pair {pair} do not match, as pairing="nodes" demands: {count} '
-            f"nodes of the secondary side ({pair.side('secondary')}) face the primary side "
-            f"({pair.side('primary')}) away from its nodes, most of all at "
-            f"{shown_place(place)}. Mesh both surfaces alike, or leave out the argument: mortar "
-            "pairing needs no matching meshes."
-        )
-
-
 def _surface_nodes(
     V: Any, pair: ContactPair, side: SideName, halo: Facets, displaced: bool
 ) -> SurfaceNodes:
     """Return the nodes of a side; check their normals and, undeformed, warn of tears. Collective.
 
-    `halo` are all facets of the side that the pairing on this rank depends on.
+    `halo` are all facets of the side that the pairing on this rank depends on. The surface is torn
+    where two nodes are at one place. Nodes that facets with other tags share do not count: nodes of
+    adjacent bricks may coincide.
     """
-    with errors_on_all_ranks(V.mesh.comm):
+    comm, tags = V.mesh.comm, pair.facet_tags
+    with errors_on_all_ranks(comm):
         nodes = SurfaceNodes(halo)
-        has_no_normal = owns(V, nodes.numbers) & nodes.has_no_normal
+        own = owns(V, nodes.numbers)
+        has_no_normal = own & nodes.has_no_normal
         if has_no_normal.any():
             raise PairingError(
                 f"the surface {pair.side(side)} ({side} side) has no normal at "
                 f"{shown_place(nodes.points[has_no_normal][0])}: the normals of the facets around "
                 "that node cancel. Repair the mesh there."
             )
-    if not displaced and not pair.touches_itself:
-        _warn_if_torn(V, pair, side, nodes)
-    return nodes
-
-
-def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes) -> None:
-    """Warn if two nodes of a side are at one place, since the surface is torn there. Collective.
-
-    Nodes that facets with other tags share do not count: nodes of adjacent bricks may coincide.
-    """
-    comm, tags, own = V.mesh.comm, pair.facet_tags, owns(V, nodes.numbers)
+    if displaced or pair.touches_itself:
+        return nodes
     outside = tags.indices[tags.values != getattr(pair, side)]
     outside = fem.locate_dofs_topological(V, tags.dim, outside)
     numbers, entry = np.unique(nodes.numbers[own], return_index=True)
@@ -208,3 +198,4 @@ def _warn_if_torn(V: Any, pair: ContactPair, side: SideName, nodes: SurfaceNodes
             *(pair.side(side), side, coincident),
             about=pair.side(side),
         )
+    return nodes

@@ -123,6 +123,7 @@ class Pieces:
         pairs = [np.zeros(0, dtype=np.int64)]
         for members, tree in self._trees:
             reach = radii + self.radii[members].max()
+            # the interval of each line in which it may meet pieces, within the limit
             start, end = line_intervals(np.stack([tree.mins, tree.maxes]), centres, normals, reach)
             start, end = np.maximum(start, -limit - reach), np.minimum(end, limit + reach)
             # A ball of radius sqrt(2) r around a point of the line contains the part from -r to r
@@ -159,8 +160,8 @@ class Pieces:
         """
         for start in range(0, len(chosen), AT_ONCE):
             own = chosen[start : start + AT_ONCE]
-            balls = self.centres[own], self.normals[own], self.radii[own], limit[own]
-            line, partner = partners.on_normals(*balls)
+            centres, normals = self.centres[own], self.normals[own]
+            line, partner = partners.on_normals(centres, normals, self.radii[own], limit[own])
             piece = own[line]
             opposed = dots(self.normals[piece], partners.normals[partner]) < -FACING_COSINE
             yield piece[opposed], partner[opposed]
@@ -174,24 +175,19 @@ class Pieces:
         """Return pairs: index of a point (n, 3), ascending, and of a piece within reach (n,)."""
         within = reach + self.radii.max(initial=0.0)
         point, piece = flattened(cKDTree(self.centres).query_ball_point(points, within))
-        is_near = self.distances(piece, points[point]) < reach[point]
-        return point[is_near], piece[is_near]
-
-    def distances(self, chosen: Indices, points: Array) -> Array:
-        """Return the distance (n,) of points (n, 3), each from a piece `chosen` (n,) [length]."""
-        corners = self.points[chosen] - points[:, None]
-        normals = self.normals[chosen]
+        # the distance from the sides of the piece, with the parameter of each side's nearest point
+        corners = self.points[piece] - points[point][:, None]
         along = np.roll(corners, -1, axis=1) - corners
-        # parameter in [0, 1] of the nearest point of each side
         share = np.clip(-dots(corners, along) / dots(along, along), 0.0, 1.0)
-        result = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
-        # the distance is that from the plane if the point is above the inside of the polygon
-        if corners.shape[1] > 2:
+        distance = np.linalg.norm(corners + share[:, :, None] * along, axis=2).min(axis=1)
+        if corners.shape[1] > 2:  # from the plane, if the point is above the inside of the polygon
+            normals = self.normals[piece]
             turns = dots(cross(corners, along), normals[:, None])
             projects_inside = (turns >= 0.0).all(axis=1) | (turns <= 0.0).all(axis=1)
             height = np.abs(dots(corners.mean(axis=1), normals))
-            result = np.where(projects_inside, height, result)
-        return np.asarray(result)
+            distance = np.where(projects_inside, height, distance)
+        is_near = distance < reach[point]
+        return point[is_near], piece[is_near]
 
 
 #: Distance from a piece, relative to the radius of the largest piece, within which all facets of
@@ -210,19 +206,15 @@ def owners_flags(V: Any, nodes: GlobalNumbers, flags: Mask) -> Mask:
     return np.isin(nodes, gather_rows(V.mesh.comm, nodes[flags & owns(V, nodes)]))
 
 
-def at_own_nodes(V: Any, facets: Facets) -> Indices:
-    """Return the indices of the facets with a corner that this rank owns. Not collective."""
-    return np.flatnonzero(owns(V, facets.nodes[:, : facets.corners]).any(axis=1))
-
-
 def facets_at_own_nodes(V: Any, owned: Facets) -> Facets:
     """Return all facets with a corner that this rank owns, given the facets it owns. Collective."""
+    # each facet is sent to the owners of its corners; ranks own nodes in ascending order
     ends = V.mesh.comm.allgather(V.dofmap.index_map.local_range[1])
-    ranks = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
-    result = _sent(
-        V.mesh.comm, owned, np.repeat(np.arange(len(ranks)), owned.corners), ranks.ravel()
-    )
-    return result.selected(at_own_nodes(V, result))
+    owners = np.searchsorted(ends, owned.nodes[:, : owned.corners], side="right")
+    facet = np.repeat(np.arange(len(owners)), owned.corners)
+    result = _sent(V.mesh.comm, owned, facet, owners.ravel())
+    has_own_corner = owns(V, result.nodes[:, : result.corners]).any(axis=1)
+    return result.selected(np.flatnonzero(has_own_corner))
 
 
 def near_lines(
@@ -258,12 +250,12 @@ def near_lines(
     # facets of this rank that received lines meet, and the ranks that sent them
     pairs: list[Indices] = [np.zeros((0, 2), dtype=np.intp)]
     for start in range(0, len(lines), AT_ONCE):
-        block = slice(start, start + AT_ONCE)
-        line, piece = pieces.on_normals(
-            lines[block, :3], lines[block, 3:6], lines[block, 6], lines[block, 7]
-        )
-        pairs.append(np.unique(np.column_stack([pieces.facet[piece], source[block][line]]), axis=0))
-    return _sent(comm, owned, *np.concatenate(pairs).T)
+        block = lines[start : start + AT_ONCE]
+        line, piece = pieces.on_normals(block[:, :3], block[:, 3:6], block[:, 6], block[:, 7])
+        met = np.column_stack([pieces.facet[piece], source[start + line]])
+        pairs.append(np.unique(met, axis=0))
+    facet, sender = np.concatenate(pairs).T
+    return _sent(comm, owned, facet, sender)
 
 
 def _sent(comm: MPI.Comm, owned: Facets, facet: Indices, rank: Indices) -> Facets:
@@ -308,8 +300,8 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     rings = TWO_RINGS * comm.allreduce(largest, op=MPI.MAX)
     # a facet whose centre is beyond the limit may have a part within it, or hide such a part
     far, reach = limit + mine.radii + rings, mine.radii + rings
-    lines = mine.centres, mine.normals, reach, far
-    halo, primary_halo = (near_lines(comm, side, *lines) for side in (secondary, primary))
+    halo = near_lines(comm, secondary, mine.centres, mine.normals, reach, far)
+    primary_halo = near_lines(comm, primary, mine.centres, mine.normals, reach, far)
     partners = Pieces(primary_halo)
     # if a facet may penetrate deeply, the primary facets around it decide whether it does
     depth: Array = np.zeros(len(far))
@@ -319,7 +311,10 @@ def halos(V: Any, secondary: Facets, primary: Facets, limit: float) -> tuple[Fac
     near = 2.0 * mine.radii + CREDIBLE_PART * np.minimum(depth + mine.radii, far)
     deep = near > reach
     if comm.allreduce(deep.any(), MPI.LOR):
-        points = mine.centres[deep], mine.normals[deep], near[deep], np.zeros(deep.sum())
-        joined = (np.concatenate(arrays) for arrays in zip(lines, points, strict=True))
-        primary_halo = near_lines(comm, primary, *joined)
+        # the lines as before, and points (lines of length 0) with a greater reach
+        centres = np.concatenate([mine.centres, mine.centres[deep]])
+        normals = np.concatenate([mine.normals, mine.normals[deep]])
+        reach = np.concatenate([reach, near[deep]])
+        length = np.concatenate([far, np.zeros(deep.sum())])
+        primary_halo = near_lines(comm, primary, centres, normals, reach, length)
     return halo, primary_halo

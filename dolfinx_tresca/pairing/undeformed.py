@@ -67,18 +67,26 @@ class PairGroup:
     def __init__(self, pairs: Sequence[ContactPair], numbers: Sequence[int] = (0,)) -> None:
         """Join pairs, which must have equal `facet_tags` and equal arguments in `COMMON`."""
         self.pairs, self.numbers, pattern = tuple(pairs), tuple(numbers), pairs[0]
+        given_tags, _ = pattern.given_tags("secondary")
         for pair in pairs[1:]:
-            _check_agree(pattern, pair)
-        tags_of_pairs = [[pair.given_tags(side)[1] for side in SIDES] for pair in pairs]
+            differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
+            if pair.given_tags("secondary")[0]._cpp_object is not given_tags._cpp_object:
+                differ.append("facet_tags")
+            if differ:
+                raise InputError(
+                    f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
+                    f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
+                )
+        own_tags = [pair.given_tags("secondary")[1] for pair in pairs]
+        opposite_tags = [pair.given_tags("primary")[1] for pair in pairs]
         # each tag of a side once; an obstacle has no tags, but a column in `pair_of_tags`
-        secondary, primary = (
-            list(dict.fromkeys(chain.from_iterable(tags)))
-            for tags in zip(*tags_of_pairs, strict=True)
-        )
+        secondary = list(dict.fromkeys(chain.from_iterable(own_tags)))
+        primary = list(dict.fromkeys(chain.from_iterable(opposite_tags)))
         self.pair_of_tags: Indices = np.full((len(secondary), max(len(primary), 1)), -1)
-        for k, (own_tags, tags) in enumerate(tags_of_pairs):
-            columns = [primary.index(tag) for tag in tags] or [0]
-            self.pair_of_tags[np.ix_([secondary.index(tag) for tag in own_tags], columns)] = k
+        for k in range(len(pairs)):
+            rows = [secondary.index(tag) for tag in own_tags[k]]
+            columns = [primary.index(tag) for tag in opposite_tags[k]] or [0]
+            self.pair_of_tags[np.ix_(rows, columns)] = k
         # pairs rank like the first pair with the same law; of equally strong laws the earlier wins
         alike = [next(k for k, second in enumerate(pairs) if _same(pair, second)) for pair in pairs]
         strengths = [(*_strength(pairs[k].friction), -k) for k in alike]
@@ -87,7 +95,7 @@ class PairGroup:
         if len(pairs) > 1:
             self.surfaces = replace(
                 pattern,
-                facet_tags=pattern.given_tags("secondary")[0],
+                facet_tags=given_tags,
                 secondary=secondary,
                 primary=primary or pattern.primary,
                 gap=None,
@@ -117,24 +125,14 @@ class PairGroup:
                 )
 
 
-def _check_agree(pattern: ContactPair, pair: ContactPair) -> None:
-    """Raise InputError if two pairs of one group differ in `facet_tags` or those of `COMMON`."""
-    differ = [name for name in COMMON if getattr(pair, name) != getattr(pattern, name)]
-    given, second = (both.given_tags("secondary")[0] for both in (pattern, pair))
-    if given._cpp_object is not second._cpp_object:
-        differ.append("facet_tags")
-    if differ:
-        raise InputError(
-            f"contact pairs {pattern} and {pair} are parts of the same surfaces, whose "
-            f"nodes they share, but differ in {' and '.join(differ)}: give both the same."
-        )
-
-
 def _same(pair: ContactPair, second: ContactPair) -> bool:
     """Return whether two pairs have the same kind of law, with equal arguments, and equal gaps."""
-    laws = pair.friction, second.friction
-    arguments = [(pair.gap, second.gap), *zip(*(vars(law).values() for law in laws), strict=False)]
-    return type(laws[0]) is type(laws[1]) and all(bool(np.all(a == b)) for a, b in arguments)
+    law, second_law = pair.friction, second.friction
+    if type(law) is not type(second_law):
+        return False
+    arguments = zip(vars(law).values(), vars(second_law).values(), strict=False)
+    compared = [(pair.gap, second.gap), *arguments]
+    return all(bool(np.all(a == b)) for a, b in compared)
 
 
 def _strength(law: Friction) -> tuple[int, float, float]:
@@ -143,10 +141,11 @@ def _strength(law: Friction) -> tuple[int, float, float]:
     Kinds are 2 if bonded, 1 with friction or 0. Of two bounds the larger counts, a function as 0.
     """
     if not isinstance(law, DryFriction):
-        return 2 if isinstance(law, Bonded) else 0, 0.0, 0.0
+        return (2 if isinstance(law, Bonded) else 0), 0.0, 0.0
     values = []
     for bound in (law.terms.coefficient, law.terms.constant):
         entries = bound if isinstance(bound, tuple) else (bound,)
+        # a `fem.Constant` has a value, a function counts as 0
         values.append(max(real(getattr(entry, "value", entry)) or 0.0 for entry in entries))
     return 1, values[0], values[1]
 
@@ -185,8 +184,9 @@ def _shared(
     rows = [np.zeros((0, 2), dtype=np.intp)]
     for k in map(int, np.flatnonzero(compared)):
         facets = pairs[k].facet_tags.find(getattr(pairs[k], side))
-        nodes = fem.locate_dofs_topological(V, dim, facets)  # those of facets of other ranks, too
-        items = nodes if label is None else np.concatenate(comm.allgather(np.unique(label[nodes])))
+        items = fem.locate_dofs_topological(V, dim, facets)  # nodes of other ranks' facets, too
+        if label is not None:
+            items = np.concatenate(comm.allgather(np.unique(label[items])))
         rows.append(np.column_stack([items, np.full(len(items), k)]))
     # the product counts the common items, nodes or bodies, of two pairs on this rank
     item, pair = np.concatenate(rows).T
@@ -330,9 +330,8 @@ def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]
         return sides
     try:
         with errors_on_all_ranks(V.mesh.comm), open_geometry(geometry or {}) as surfaces:
-            dim = V.mesh.geometry.dim
             return [
-                replace(facets, offsets=_offsets_of_tags(facets, tags, surfaces, dim, limit))
+                replace(facets, offsets=_offsets_of_tags(facets, tags, surfaces, limit))
                 for facets, tags in zip(sides, tags_of_sides, strict=False)
             ]
     except (InputError, MeshError) as error:
@@ -350,11 +349,7 @@ def with_offsets(V: Any, pair: ContactPair, sides: list[Facets]) -> list[Facets]
 
 
 def _offsets_of_tags(
-    facets: Facets,
-    tags: Sequence[int],
-    surfaces: Mapping[int, ExactSurface],
-    dim: int,
-    limit: float,
+    facets: Facets, tags: Sequence[int], surfaces: Mapping[int, ExactSurface], limit: float
 ) -> Array:
     """Return the `Facets.offsets` (n, q, 3) to the exact surfaces of tags, NaN where there is none.
 
@@ -366,7 +361,7 @@ def _offsets_of_tags(
             continue
         index = np.flatnonzero(facets.tag_index == k)
         of_tag = facets.selected(index)
-        result[index] = _offsets(of_tag, tag, surfaces[tag].projections, dim)
+        result[index] = _offsets(of_tag, tag, surfaces[tag].projections)
         sizes = np.ptp(of_tag.points, axis=1).max(axis=1)
         away = np.linalg.norm(result[index, : facets.corners], axis=2).max(axis=1)
         relative = (away / sizes).max(initial=0.0)
@@ -380,17 +375,18 @@ def _offsets_of_tags(
     return result
 
 
-def _offsets(facets: Facets, tag: int, projections: Sequence[Projection], dim: int) -> Array:
+def _offsets(facets: Facets, tag: int, projections: Sequence[Projection]) -> Array:
     """Return the `Facets.offsets` of facets from projections onto the patches of one surface.
 
     A facet belongs to the patch nearest to its corners; of equally near ones, to its centre.
     """
-    points = facets.points_at(facets.lagrange_points(OFFSET_DEGREE))
+    points = facets.basis(facets.lagrange_points(OFFSET_DEGREE)) @ facets.points
+    dim_of_space = facets.free.shape[2]
 
     def offsets(projection: Projection, points: Array) -> Array:
         """Return vectors (..., 3) from points to projections; equal points are projected once."""
         places, index = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
-        steps = project_points(places, f"geometry[{tag}]", projection, dim) - places
+        steps = project_points(places, f"geometry[{tag}]", projection, dim_of_space) - places
         return np.asarray(steps[index.ravel()].reshape(points.shape))
 
     if len(projections) == 1:

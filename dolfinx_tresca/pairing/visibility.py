@@ -82,17 +82,30 @@ class Visibility:
                 point = apart[crossing]
                 gap = end[point] > start[point]
                 leaves = outward == gap  # whether the segment leaves the body behind the facet
-                # own side: leaving hides, in a gap entering, too; other side: leaving a body hides
-                # in a gap, entering one where bodies overlap
-                matters = leaves | gap if own else leaves == gap
-                if own:  # the end of a segment is on its piece, or near it if the facet is curved
+                if own:  # leaving hides, in a gap entering, too
+                    matters = leaves | gap
+                    # the end of a segment is on its piece, or near it if the facet is curved
                     matters &= ~in_one_body[point] | (facet != partner[point])
+                else:  # leaving a body hides in a gap, entering one where bodies overlap
+                    matters = leaves == gap
                 distance = (height - start[point]) * np.where(gap, 1.0, -1.0)
                 distance += np.where(leaves, -touch[point], touch[point])
                 between = (distance > 0.0) & (distance <= length[point])
                 result[point[matters & between]] = True
-        apart = apart[~in_one_body[apart]]
-        result[apart] |= self._is_too_deep(piece[apart], places[apart], start[apart], end[apart])
+
+        # a deep penetration is not credible if the primary side is much nearer (`CREDIBLE_PART`),
+        # in self-contact that of another body
+        depth = start - end
+        is_deep = depth > SHALLOW_DEPTH * self._pieces.radii[piece]
+        deep = apart[(is_deep & ~in_one_body)[apart]]
+        if len(deep):
+            local = np.column_stack([places, start])[deep]
+            steps = np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
+            points = self._pieces.centres[piece[deep]] + steps
+            point, near = self._partners.near(points, CREDIBLE_PART * depth[deep])
+            if self._body is not None:
+                point = point[self._body[near] != self._body[piece[deep]][point]]
+            result[deep[point]] = True
         return result
 
     def _crossings(
@@ -100,9 +113,9 @@ class Visibility:
     ) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
         """Yield where lines through points, along the normals of their pieces, cross facets.
 
-        The facets are those of the points' `own` side, or of the other side, that may hide a point
-        (`_may_hide`). For `piece` (n,) and `places` (n, d) see `hidden`; crossings farther from the
-        plane than `reach` (n,) [length] do not matter, and may be missing.
+        The facets are those of the points' `own` side, or of the other side, that may hide a point.
+        For `piece` (n,) and `places` (n, d) see `hidden`; crossings farther from the plane than
+        `reach` (n,) [length] do not matter, and may be missing.
 
         Yields:
             for a block of m crossings: the points; the facets, as pieces of their side; the heights
@@ -111,12 +124,30 @@ class Visibility:
         """
         pieces, side = self._pieces, self._pieces if own else self._partners
         targets, starts, counts = np.unique(piece, return_index=True, return_counts=True)
-        line, facet = side.on_normals(
-            pieces.centres[targets], pieces.normals[targets], pieces.radii[targets],
-            np.maximum.reduceat(reach, starts) + pieces.radii[targets],
-        )  # fmt: skip
-        keep = self._may_hide(own, targets[line], facet)
+        radii = pieces.radii[targets]
+        far = np.maximum.reduceat(reach, starts) + radii
+        line, facet = side.on_normals(pieces.centres[targets], pieces.normals[targets], radii, far)
+        # primary facets whose normals are opposed hide nothing, since segments end there
+        target = targets[line]
+        normal, its_normal = pieces.normals[target], side.normals[facet]
+        cosine = dots(normal, its_normal)
+        keep: Mask = cosine > NEGLIGIBLE
+        if own:
+            # facets hide nothing if a segment crosses them at its own start: the piece itself,
+            # facets in its plane, and facets with a common node and a similar normal
+            height = np.abs(dots(side.centres[facet] - pieces.centres[target], normal))
+            height += side.radii[facet] * np.linalg.norm(normal - its_normal, axis=1)
+            keep &= height > NEGLIGIBLE * pieces.radii[target]
+            similar = np.flatnonzero(keep)
+            nodes, its_nodes = pieces.nodes[target[similar]], side.nodes[facet[similar]]
+            are_equal = nodes[:, :, None] == its_nodes[:, None]
+            keep[similar] = ~are_equal.any(axis=(1, 2))
+            keep |= cosine < -NEGLIGIBLE
+        if self._body is not None:
+            keep &= (self._body[facet] == self._body[target]) == own
         line, facet = line[keep], facet[keep]
+
+        # corners and normals of these facets in the frames of the pieces
         corners = pieces.local_coordinates(targets[line], side.points[facet])
         normals = np.einsum("ni,ndi->nd", side.normals[facet], pieces.frames[targets[line]])
         # All pairs of a facet and a point of the piece in front of it. Points are ordered by piece:
@@ -130,52 +161,12 @@ class Visibility:
             point: Indices = np.arange(len(row)) + np.repeat(ahead, numbers)
             around = corners[row, :, :-1] - places[point][:, None]
             crosses = _around_origin(around)
-            row, point, middle = row[crosses], point[crosses], around[crosses].mean(axis=1)
+            row, point = row[crosses], point[crosses]
+            # the height of the plane of the facet over the point
+            middle = around[crosses].mean(axis=1)
             slope = dots(normals[row, :-1], middle) / normals[row, -1]
             height = corners[row, :, -1].mean(axis=1) + slope
             yield point, facet[row], height, normals[row, -1] > 0.0
-
-    def _may_hide(self, own: bool, piece: Indices, facet: Indices) -> Mask:
-        """Return which facets (n,) of one side may hide points on the normals of pieces (n,).
-
-        Primary facets whose normals are opposed hide nothing, since segments end there. Facets of
-        the points' `own` side hide nothing if a segment crosses them at its own start: the piece
-        itself, facets in its plane, and facets with a common node and a similar normal.
-        """
-        pieces, side = self._pieces, self._pieces if own else self._partners
-        normal, their_normal = pieces.normals[piece], side.normals[facet]
-        cosine = dots(normal, their_normal)
-        result: Mask = cosine > NEGLIGIBLE
-        if own:
-            height = np.abs(dots(side.centres[facet] - pieces.centres[piece], normal))
-            height += side.radii[facet] * np.linalg.norm(normal - their_normal, axis=1)
-            result &= height > NEGLIGIBLE * pieces.radii[piece]
-            similar = np.flatnonzero(result)
-            nodes = pieces.nodes[piece[similar]], side.nodes[facet[similar]]
-            result[similar] = ~(nodes[0][:, :, None] == nodes[1][:, None]).any(axis=(1, 2))
-            result |= cosine < -NEGLIGIBLE
-        if self._body is not None:
-            result &= (self._body[facet] == self._body[piece]) == own
-        return result
-
-    def _is_too_deep(self, piece: Indices, places: Array, start: Array, end: Array) -> Mask:
-        """Return at which points (n,), given as in `hidden`, a penetration is not credible.
-
-        The primary side is much nearer (`CREDIBLE_PART`); in self-contact other bodies count only.
-        """
-        result = np.zeros(len(piece), dtype=np.bool_)
-        deep = np.flatnonzero(start - end > SHALLOW_DEPTH * self._pieces.radii[piece])
-        if len(deep) == 0:
-            return result
-        local = np.column_stack([places, start])[deep]
-        points = self._pieces.centres[piece[deep]]
-        points = points + np.einsum("nd,ndi->ni", local, self._pieces.frames[piece[deep]])
-        point, partner = self._partners.near(points, CREDIBLE_PART * (start - end)[deep])
-        if self._body is not None:
-            elsewhere = self._body[partner] != self._body[piece[deep]][point]
-            point, partner = point[elsewhere], partner[elsewhere]
-        result[deep[point]] = True
-        return result
 
 
 def _around_origin(corners: Array) -> Mask:
@@ -215,7 +206,8 @@ def overlaps(own: Array, partners: Array) -> tuple[Array, Array, Indices]:
     following = np.roll(polygons, -1, axis=1)
     start, end = polygons - polygons[:, :1], following - polygons[:, :1]
     turns = np.abs(_cross(start, end))  # twice the areas of triangles with the first corner
-    moment, total = np.einsum("nc,nci->ni", turns, start + end), 3.0 * turns.sum(axis=1)[:, None]
+    moment = np.einsum("nc,nci->ni", turns, start + end)
+    total = 3.0 * turns.sum(axis=1)[:, None]
     # the centroid of a polygon without area is undefined: take its first corner
     offset = np.divide(moment, total, out=np.zeros_like(moment), where=total > 0.0)
     centroid = np.broadcast_to((polygons[:, 0] + offset)[:, None], polygons.shape)
@@ -352,14 +344,14 @@ def redundant_nodes(nodes: SurfaceNodes, paired: Indices, exchanged: Indices) ->
     def rows(pairs: Indices) -> Indices:
         """Return the rows (node, its number in the file, that of a corner of its partner)."""
         own, theirs = pairs.T
-        corners, numbers = nodes.facet_nodes[own], in_file[own]
-        repeated = (np.repeat(columns, count, axis=1) for columns in (corners, numbers))
-        result: Indices = np.stack([*repeated, np.tile(in_file[theirs], count)], axis=2)
+        node = np.repeat(nodes.facet_nodes[own], count, axis=1)
+        number = np.repeat(in_file[own], count, axis=1)
+        result: Indices = np.stack([node, number, np.tile(in_file[theirs], count)], axis=2)
         return np.unique(result.reshape(-1, 3), axis=0)
 
     # rows that occur twice are of nodes that are secondary on one facet and primary on another
     together = np.concatenate([rows(paired), rows(exchanged)])
     seen, times = np.unique(together, axis=0, return_counts=True)
     own, theirs = seen[:, 1], seen[:, 2]
-    second = seen[(own == theirs) | (times > 1) & (own > theirs), 0]
-    return np.isin(np.arange(len(nodes.numbers)), second)
+    is_redundant = (own == theirs) | (times > 1) & (own > theirs)
+    return np.isin(np.arange(len(nodes.numbers)), seen[is_redundant, 0])
