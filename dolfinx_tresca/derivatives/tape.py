@@ -124,11 +124,13 @@ class ProcessTape:
         yield
         self._history = contact.state.history
         # arrays that have not changed since the last step are shared with it
-        before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
-        values = [
-            former if former is not None and np.array_equal(former, present) else present.copy()
-            for former, present in zip(before, map(values_of, self._inputs), strict=True)
-        ]
+        values: list[Array] = []
+        for number, control in enumerate(self._inputs):
+            present = values_of(control)
+            if self._steps and np.array_equal(self._steps[-1].values[number], present):
+                values.append(self._steps[-1].values[number])
+            else:
+                values.append(present.copy())
         moves = bool(step.obstacle_moves.any())
         self._steps.append(_Recorded(linearised, moves, values, step.curves, step.laws))
 
@@ -157,8 +159,10 @@ class ProcessTape:
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
         by_step = self._derivatives(goals, controls)  # checks the controls first
-        columns = zip([0.0] * len(controls), *by_step, strict=True)
-        return as_derivatives([sum(column) for column in columns], controls, self.comm)
+        sums: list[Any] = [0.0] * len(controls)
+        for derivatives in by_step:
+            sums = [total + values for total, values in zip(sums, derivatives, strict=True)]
+        return as_derivatives(sums, controls, self.comm)
 
     @collective(comm_of_self)
     def gradient_by_step(
@@ -201,20 +205,19 @@ class ProcessTape:
         for number in reversed(range(max(goals_of_step, default=-1) + 1)):
             step, weighted = self._steps[number], goals_of_step.get(number, [])
             with replaced(self._inputs, step.values):
-                self._check_laws(step, number)
+                # the recorded inputs must give the recorded gaps and friction
+                laws = contact.law_values(step.curves)
+                same = all(map(np.array_equal, laws, step.laws))
+                if not self.comm.allreduce(same, op=MPI.LAND):
+                    raise InputError(
+                        f"a gap or a law of friction has other values than in load step {number}: "
+                        "a Python function reads something that has changed and was not recorded. "
+                        "Read values that change from Constants that are variables of the function "
+                        "itself."
+                    )
                 data.linearise(step.linearised)
                 result[number], by_origin = gradient(data, weighted, controls, by_origin)
         return result
-
-    def _check_laws(self, step: _Recorded, number: int) -> None:
-        """Check that the recorded inputs give the recorded gaps and friction. Collective."""
-        same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
-        if not self.comm.allreduce(same, op=MPI.LAND):
-            raise InputError(
-                f"a gap or a law of friction has other values than in load step {number}: a Python "
-                "function reads something that has changed and was not recorded. Read values that "
-                "change from Constants that are variables of the function itself."
-            )
 
     def _check_places(self, controls: Sequence[Control]) -> None:
         """Check that obstacles are where they were, and that controls may move them. Collective."""
@@ -226,9 +229,9 @@ class ProcessTape:
             )
         slips = bool(steps) and bool(steps[0].linearised.dual.history.origin.any())
         obstacle_moves = any(step.obstacle_moves for step in steps)
-        unknown = contact.comm.allreduce(slips or obstacle_moves, op=MPI.LOR)
+        is_unknown = contact.comm.allreduce(slips or obstacle_moves, op=MPI.LOR)
         for control in controls:
-            if unknown and contact.obstacles.rates(control, None, contact.jump).any():
+            if is_unknown and contact.obstacles.rates(control, None, contact.jump).any():
                 raise InputError(
                     f"through a process the derivative with respect to {shown(control)}, on which "
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "
