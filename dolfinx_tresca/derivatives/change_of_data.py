@@ -157,9 +157,10 @@ def jump_differences(
         # where move_to() has moved an obstacle in this step, the slip origin depends on its place
         solved = contact.solution_for("a derivative")
         origin = solved.dual.history.origin
-        moved_in_step = moves & solved.obstacle_moves
-        for pair, moved, rows in zip(contact.pairs, moved_in_step, jump.own_rows, strict=True):
-            if moved and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
+        in_step = moves & solved.obstacle_moves
+        for pair, moves_in_step, rows in zip(contact.pairs, in_step, jump.own_rows, strict=True):
+            slips = bool(origin[rows.tangential].any())
+            if moves_in_step and contact.comm.allreduce(slips, op=MPI.LOR):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."
@@ -172,16 +173,14 @@ def jump_differences(
             displaced = displaced_jump(jump, contact.pairs, contact.state.geometry, moves)
         sides.append(displaced.along_axes(linearised.bounds))
     # both sides must have the present nodes, weights and, nearly, tangents: the same rows of B
-    has_same_rows = True
-    for side in sides:
-        for moved_rows, rows_of_pair in zip(side.pairs, jump.pairs, strict=True):
-            has_same_rows = (
-                has_same_rows
-                and np.array_equal(moved_rows.nodes, rows_of_pair.nodes)
-                and np.array_equal(moved_rows.row_node, rows_of_pair.row_node)
-                and np.allclose(moved_rows.weights, rows_of_pair.weights, rtol=1e-9)
-                and bool((np.abs(moved_rows.tangents - rows_of_pair.tangents) <= 0.05).all())
-            )
+    has_same_rows = all(
+        np.array_equal(moved.nodes, rows.nodes)
+        and np.array_equal(moved.row_node, rows.row_node)
+        and np.allclose(moved.weights, rows.weights, rtol=1e-9)
+        and (np.abs(moved.tangents - rows.tangents) <= 0.05).all()
+        for side in sides
+        for moved, rows in zip(side.pairs, jump.pairs, strict=True)
+    )
     if not contact.comm.allreduce(has_same_rows, op=MPI.LAND):
         raise InputError(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
@@ -223,7 +222,6 @@ class DataOfSolution:
         """
         self.contact, self.u, self.comm = contact, u, contact.comm
         self._residual, self._in_all_steps = residual, in_all_steps
-        self._values = contact.friction.values
         self._z = fem.Function(u.function_space, name="adjoint")
         self._work = ufl.action(residual, self._z)
         self._compiled: dict[Any, Any] = {}
@@ -288,7 +286,7 @@ class DataOfSolution:
             forces -= self.derivative(self._residual, control, direction)
             values += self._prescribed_by(control, flat(direction))
             for scalar in self._fields:
-                rates = self._values.slopes(
+                rates = contact.friction.values.slopes(
                     scalar.field, control, direction, scalar.nodes, scalar.name
                 )
                 if rates is not None:
@@ -331,8 +329,9 @@ class DataOfSolution:
         by_prescribed.scatter_reverse(dolfinx.la.InsertMode.add)
         result = by_prescribed.array[: owned_size(control)] - self.derivative(self._work, control)
         for scalar in self._fields:
-            by_field = self._values.pulled_back(
-                scalar.field, control, scalar.nodes, scalar.effect.T @ derivatives.laws, scalar.name
+            at_nodes = scalar.effect.T @ derivatives.laws
+            by_field = self.contact.friction.values.pulled_back(
+                scalar.field, control, scalar.nodes, at_nodes, scalar.name
             )
             if by_field is not None:
                 result += by_field

@@ -192,36 +192,14 @@ class ProcessTape:
         data = DataOfSolution(contact, self._residual_at(u), u, in_all_steps=True)
         goals_of_step = self._checked_goals(goals, data)
         data.check_controls(controls)
-        if any(step.linearised.dual.compliance is not contact.compliance for step in self._steps):
+        steps = self._steps
+        if any(step.linearised.dual.compliance is not contact.compliance for step in steps):
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
                 "before obstacles are moved."
             )
-        self._check_places(controls)
-        # each step hands the derivatives by its slip origin, `by_origin`, to the step before
-        result: list[list[Any]] = [[0.0] * len(controls) for _ in self._steps]
-        by_origin: Array | None = None
-        for number in reversed(range(max(goals_of_step, default=-1) + 1)):
-            step, weighted = self._steps[number], goals_of_step.get(number, [])
-            with replaced(self._inputs, step.values):
-                # the recorded inputs must give the recorded gaps and friction
-                laws = contact.law_values(step.curves)
-                same = all(map(np.array_equal, laws, step.laws))
-                if not self.comm.allreduce(same, op=MPI.LAND):
-                    raise InputError(
-                        f"a gap or a law of friction has other values than in load step {number}: "
-                        "a Python function reads something that has changed and was not recorded. "
-                        "Read values that change from Constants that are variables of the function "
-                        "itself."
-                    )
-                data.linearise(step.linearised)
-                result[number], by_origin = gradient(data, weighted, controls, by_origin)
-        return result
-
-    def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles are where they were, and that controls may move them. Collective."""
-        contact, steps = self._contact, self._steps
+        # obstacles must be where they were, and controls may move them only without earlier slip
         if contact.obstacles.changed(contact.jump).any():
             raise ContactError(
                 "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
@@ -237,6 +215,25 @@ class ProcessTape:
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "
                     "and recording began without slip."
                 )
+        # each step hands the derivatives by its slip origin, `by_origin`, to the step before
+        result: list[list[Any]] = [[0.0] * len(controls) for _ in steps]
+        by_origin: Array | None = None
+        for number in reversed(range(max(goals_of_step, default=-1) + 1)):
+            step, weighted = steps[number], goals_of_step.get(number, [])
+            with replaced(self._inputs, step.values):
+                # the recorded inputs must give the recorded gaps and friction
+                laws = contact.law_values(step.curves)
+                same = all(map(np.array_equal, laws, step.laws))
+                if not self.comm.allreduce(same, op=MPI.LAND):
+                    raise InputError(
+                        f"a gap or a law of friction has other values than in load step {number}: "
+                        "a Python function reads something that has changed and was not recorded. "
+                        "Read values that change from Constants that are variables of the function "
+                        "itself."
+                    )
+                data.linearise(step.linearised)
+                result[number], by_origin = gradient(data, weighted, controls, by_origin)
+        return result
 
     def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
         """Return number of a step -> pairs (weight, goal), from the user's goals, or raise."""

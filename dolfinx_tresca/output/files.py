@@ -50,6 +50,10 @@ _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 #: orange for slip, light colours for open nodes.
 STATE_COLOURS = Path(__file__).with_name("contact_state.json")
 
+#: Attributes of VTK's files. Below version 2.2, readers reorder nodes of hexahedra of degree 2.
+_ORDER = f"{sys.byteorder.capitalize()}Endian"
+_HEADER = {"version": "2.2", "byte_order": _ORDER, "header_type": "UInt64"}
+
 _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
 
 
@@ -307,7 +311,7 @@ class SolutionWriter:
                 entry = {"timestep": repr(time), "part": str(number), "name": name, "file": file}
                 series.append(entry)
             shutil.copyfile(STATE_COLOURS, series_folder / "state.json")
-            root = _root("Collection")
+            root = ET.Element("VTKFile", {"type": "Collection", **_HEADER})
             collection = ET.SubElement(root, "Collection")
             for entry in series:
                 ET.SubElement(collection, "DataSet", entry)
@@ -335,7 +339,7 @@ def _remove_grids(folder: Path) -> None:
 
 def write_vtu(path: Path, grid: Grid) -> None:
     """Write a grid as a `.vtu`: XML, whose arrays are compressed and in base 64."""
-    root = _root("UnstructuredGrid")
+    root = ET.Element("VTKFile", {"type": "UnstructuredGrid", **_HEADER})
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")
     counts = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
@@ -367,10 +371,3 @@ def write_vtu(path: Path, grid: Grid) -> None:
     active = next(iter(grid.values))
     piece[0].attrib.update(Scalars=active, Vectors=active)
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
-
-
-def _root(kind: str) -> ET.Element:
-    # in files of a version below 2.2, readers reorder the nodes of hexahedra of degree 2
-    order = f"{sys.byteorder.capitalize()}Endian"
-    header = {"version": "2.2", "byte_order": order, "header_type": "UInt64"}
-    return ET.Element("VTKFile", {"type": kind, **header})

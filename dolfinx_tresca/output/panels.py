@@ -77,9 +77,11 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     if grid is None:
         return None
     values, facets, slip_name = grid.values, grid.cells[:, 1:], "slip"
+    # masks of nodes, then of facets whose nodes with multipliers all touch
     carries = values["state"] > ContactState.OUTSIDE
     touches = values["state"] >= ContactState.PRESSED
-    closed = (~carries | touches)[facets].all(axis=1) & carries[facets].any(axis=1)
+    touches_if_it_carries = ~carries | touches
+    closed = touches_if_it_carries[facets].all(axis=1) & carries[facets].any(axis=1)
     in_closed_facets = np.ones(len(carries), dtype=np.bool_)
     in_closed_facets[facets[~closed]] = False
     values["pressed"] = np.where(carries, touches, in_closed_facets).astype(float)
@@ -133,9 +135,11 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
     usual = float(np.percentile(values, 85.0)) if clip and len(values) else 0.0
     if 0.0 < 2.5 * usual < largest:  # without a cut, 85 % of the values would look the same
         step = 0.5 * 10.0 ** math.floor(math.log10(usual))
-        return 0.0, step * math.ceil(usual / step - 1e-9), largest
-    far = 0.5 * largest < least < (1.0 - 1e-6) * largest
-    return least if far else 0.0, largest or 1.0, largest
+        end = step * math.ceil(usual / step - 1e-9)  # the next multiple of the step
+        return 0.0, end, largest
+    far_from_zero = 0.5 * largest < least < (1.0 - 1e-6) * largest
+    begin = least if far_from_zero else 0.0
+    return begin, largest or 1.0, largest
 
 
 def draw_bar(panel: Any, name: str, unit_name: str, cmap: str, limits: Sequence[float]) -> None:
@@ -178,7 +182,8 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     # each piece starts at its first node in this order: the ends of open pieces, then the others
     order = np.lexsort((y, x, count != 1))
     _, piece_of = connected_components(neighbours, directed=False)
-    starts = order[np.unique(piece_of[order], return_index=True)[1]]
+    _, first_of_piece = np.unique(piece_of[order], return_index=True)
+    starts = order[first_of_piece]
     start_of_arc, curves = 0.0, []
     for start in starts[np.lexsort((y[starts], x[starts]))]:
         nodes = depth_first_order(neighbours, start, directed=False, return_predecessors=False)
@@ -186,15 +191,17 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
         if closed:
             nodes = np.append(nodes, start)
             a, b = points[nodes[:-1], :2].T, points[nodes[1:], :2].T
-            # counterclockwise, with a positive area
-            nodes = nodes if np.sum(a[0] * b[1] - b[0] * a[1]) > 0.0 else nodes[::-1]
+            twice_area = np.sum(a[0] * b[1] - b[0] * a[1])
+            if not twice_area > 0.0:  # clockwise
+                nodes = nodes[::-1]
         positions = points[nodes]
         directions = np.gradient(positions, axis=0)
         if closed:  # both neighbours of the node count
             directions[[0, -1]] = positions[1] - positions[-2]
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        curves.append((nodes, start_of_arc + np.append(0.0, np.cumsum(steps)), unit(directions)))
-        start_of_arc = 1.04 * curves[-1][1][-1]
+        arc_lengths = start_of_arc + np.append(0.0, np.cumsum(steps))
+        curves.append((nodes, arc_lengths, unit(directions)))
+        start_of_arc = 1.04 * arc_lengths[-1]
     return curves
 
 
@@ -222,7 +229,8 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
             sticks = values["sticks"][nodes] > 0.0
             for name in names:
                 y = values[name][nodes]
-                y = y if y.ndim == 1 else np.sum(y * directions, axis=1)
+                if y.ndim == 2:  # vectors: their components along the curve
+                    y = np.sum(y * directions, axis=1)
                 colour = CURVE_COLOUR if name == "pressure" else TANGENT_COLOUR
                 axes.plot(s, y, color=colour, linewidth=1.6, marker=".", markersize=5)
                 if name == "pressure":
@@ -252,16 +260,17 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     theme.allow_empty_mesh, theme.show_scalar_bar = True, False
     with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
-        # the scale, half the height of the view, at which all points are in it, with a margin
+        # half the height of a view that has all points in it, with a margin
         right = np.cross(up, normal)
         directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
         sideways, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
         width, height = size_of(panel)
         height -= HEADER + FOOTER
+        half_height = max(upward / 0.96, sideways / 0.92 * height / width)
         plotter.enable_parallel_projection()
         plotter.view_vector(normal, viewup=up)
-        plotter.camera.parallel_scale = max(upward / 0.96, sideways / 0.92 * height / width) or 1.0
+        plotter.camera.parallel_scale = half_height or 1.0
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
@@ -299,14 +308,16 @@ def draw_bodies(
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2
     normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)
-    name, bodies = next(iter(volume.values)), volume.to_pyvista()
+    name = next(iter(volume.values))  # of the displacement
+    bodies = volume.to_pyvista()
     bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
     limits = colour_range(bodies.point_data["|u|"])
     deformed = bodies.warp_by_vector(name, factor=scale)
     faces, lift = skin(deformed), 4e-3 * bodies.length * normal
     # edges are those of cells that have no nodes but corners: if two cells of degree 2 have the
     # nodes of their common face in different orders, VTK takes it for an outer face of both
-    kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
+    own_kind, own_count = volume.cell_types[0], volume.cells[0, 0]
+    kind, count = LINEAR.get(own_kind, (own_kind, own_count))
     cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
     corner_grid = replace(volume, cells=cells, cell_types=np.full(len(cells), kind))
     # orientations of cells may differ: no creases in 2D, oriented faces in 3D
@@ -316,7 +327,8 @@ def draw_bodies(
     outline = surface.extract_feature_edges(40.0, **kinds)
     near = np.concatenate([bodies.points, faces.points])
     # an obstacle of several pairs is drawn once
-    obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
+    of_pairs = [contact.obstacle for contact in contacts if contact.obstacle]
+    obstacles = {(obstacle.signed_distance, obstacle.motion): obstacle for obstacle in of_pairs}
     legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
     with view_in(panel, normal, up) as plotter:
         light = {"lighting": not flat, "ambient": 0.35, "diffuse": 0.7}
@@ -346,23 +358,27 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
     of open surfaces, below `INVISIBLE`; it is 1 if the displacement would then be invisible.
     """
     length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
-    largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
+    displacement = next(iter(volume.values.values()))
+    largest = float(np.linalg.norm(displacement, axis=1).max(initial=0.0))
     if largest <= np.finfo(float).tiny * length:  # nothing moves
         return 1.0
     scale = VISIBLE * length / largest
     for contact in contacts:
         values = contact.grid.values
-        gap = np.where(values["pressed"] > 0.0, 0.0, values["gap"])
+        pressed = values["pressed"] > 0.0
+        gap = np.where(pressed, 0.0, values["gap"])
         closing = values["initial_gap"] - gap
-        closing = np.where(values["pressed"] > 0.0, np.abs(closing), closing)
+        closing = np.where(pressed, np.abs(closing), closing)
         # gap - (scale - 1) closing >= -INVISIBLE length, where the gap of pressed nodes is zero
         limits = INVISIBLE * length + np.maximum(gap, 0.0)
-        added = limits[closing > 0.0] / closing[closing > 0.0]
+        closes = closing > 0.0
+        added = limits[closes] / closing[closes]
         scale = min(scale, 1.0 + float(added.min(initial=math.inf)))
     if scale < max(1.0, 2.0 * INVISIBLE * length / largest):  # hardly visible
         return 1.0
     power = 10.0 ** math.floor(math.log10(scale))
-    return max(digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= scale + 1e-9)
+    round_numbers = [1.0 * power, 2.0 * power, 3.0 * power, 5.0 * power]
+    return max(number for number in round_numbers if number <= scale + 1e-9)
 
 
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
@@ -408,7 +424,8 @@ def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None
     pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
     plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
     plotter.add_mesh(pressed, color=CURVE_COLOUR, line_width=5.6, lighting=False)
-    start = curve.points[unrolled(contact.grid)[0][0][:1]]
+    nodes, _, _ = unrolled(contact.grid)[0]
+    start = curve.points[nodes[:1]]
     dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
     plotter.add_points(start, color=OPEN_LINE, **dot)
     if contact.label:
@@ -425,15 +442,19 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
     """
     import pyvista
 
-    surface = with_normals(contact.grid.to_pyvista())
+    one_side = {"consistent_normals": True, "split_vertices": False}  # of the surface, for normals
+    surface = skin(contact.grid.to_pyvista()).compute_normals(**one_side)
     contact_normals = surface.point_data_to_cell_data()["normal"]
-    # less than this cosine is at the side of a body; edges of rounded surfaces have more
-    facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > 0.15
-    surface = with_normals(surface.extract_cells(facing))
+    # less than 0.15 is at the side of a body; edges of rounded surfaces have more
+    cosines = np.sum(contact_normals * surface.cell_data["Normals"], axis=1)
+    facing = np.abs(cosines) > 0.15
+    surface = skin(surface.extract_cells(facing)).compute_normals(**one_side)
     normal, up = direction(surface)
     lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface
     values, pressed = surface.point_data, surface.point_data["pressed"] > 0.0
-    shown = np.append(values["pressure"][pressed], [] if pressed.all() else [0.0])
+    shown = values["pressure"][pressed]
+    if not pressed.all():
+        shown = np.append(shown, 0.0)
     limits = colour_range(shown, clip=True)
     light: dict[str, Any] = {"smooth_shading": True, "ambient": 0.65, "diffuse": 0.4}
     if np.abs(surface.cell_data["Normals"] @ normal).min() > 0.98:  # flat: colours as in the bar
@@ -453,7 +474,8 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
         largest = float(lengths[pressed if pressed.any() else slice(None)].max())
         if largest > 0.0:
             # shorter arrows on open parts, which may have moved by far more
-            values["slip"] *= np.minimum(1.0, largest / np.maximum(lengths, largest))[:, None]
+            shortening = np.minimum(1.0, largest / np.maximum(lengths, largest))
+            values["slip"] *= shortening[:, None]
             apart = 0.9 * spacing / surface.length if surface.n_points > most else None
             scale = {"scale": "slip", "factor": 1.3 * spacing / largest, "tolerance": apart}
             arrows = surface.translate(3.0 * lift).glyph(orient="slip", **scale)
@@ -461,8 +483,9 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
             plotter.add_mesh(arrows, lighting=False, **colours)
             text = f"{contact.slip_name}, at most {largest:.3g} {length}".rstrip()
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
-        if (values["sticks"] > 0.0).any():
-            centres = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
+        sticks = values["sticks"] > 0.0
+        if sticks.any():
+            centres = pyvista.PolyData(surface.points[sticks] + 2.0 * lift)
             radius = 0.17 * math.sqrt(surface.area / max(surface.n_points, least))
             disc = pyvista.Disc(inner=0.0, outer=radius, normal=normal, c_res=20)
             discs = centres.glyph(geom=disc, orient=False, scale=False)
@@ -471,11 +494,6 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
     if pressed.any():
         draw_bar(panel, f"contact pressure {contact.label}".rstrip(), stress, "YlOrRd", limits)
     write_header(panel, f"Contact surface{contact.title}", legend)
-
-
-def with_normals(grid: Any) -> Any:
-    """Return the surface of a grid with normals of its cells and points, all on one side of it."""
-    return skin(grid).compute_normals(consistent_normals=True, split_vertices=False)
 
 
 def direction(surface: Any) -> tuple[Array, Array]:
@@ -489,9 +507,10 @@ def direction(surface: Any) -> tuple[Array, Array]:
     if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: seen obliquely
         return OBLIQUE, ALONG_Z
     normal = mean / np.linalg.norm(mean)
-    normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
+    nearest_axis = np.argmax(np.abs(normal))
+    normal = normal * np.sign(normal[nearest_axis])
     up = ALONG_Z if abs(normal[2]) < 0.9 else ALONG_Y
     right = np.cross(up, normal)
     up = up - (up @ normal) * normal
-    higher = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ right)
-    return normal, -right if higher else up
+    is_high = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ right)
+    return normal, -right if is_high else up

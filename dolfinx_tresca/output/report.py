@@ -101,9 +101,7 @@ class ProblemSummary:
             texts.append((f"{pair}, {kind}: {counted}", gap, pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
 
-        cell_kind = mesh.topology.cell_name()
-        if system.axisymmetric:
-            cell_kind += ", axisymmetric"
+        cell_kind = mesh.topology.cell_name() + (", axisymmetric" if system.axisymmetric else "")
         count = system.negative_pivots  # the unknowns that are no displacements, as pressures
         beside = f", beside {count} unknowns of other kinds" if count else ""
         size_rows = (
@@ -129,11 +127,9 @@ def figures(values: npt.ArrayLike, error: float) -> str:
     largest, decimals = float(np.abs(values).max()), 0
     if 0.0 < largest < np.inf:
         decimals = digits - 1 - int(np.floor(np.log10(largest)))
-    texts = []
-    for component in np.atleast_1d(values):
-        rounded = round(float(component), decimals) + 0.0  # + 0.0: a zero has no sign
-        texts.append(f"{rounded:.{digits}g}")
-    components = f",{UNBROKEN}".join(texts)
+    # + 0.0: components that are rounded to zero have no sign
+    rounded = [round(float(component), decimals) + 0.0 for component in np.atleast_1d(values)]
+    components = f",{UNBROKEN}".join(f"{component:.{digits}g}" for component in rounded)
     return f"({components})" if np.ndim(values) else components
 
 
@@ -282,8 +278,7 @@ def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
     for number, step in enumerate(solutions, start=1):
         values = step.normal_force, step.peak_pressure, step.total_dissipation
         row = [str(number), step.status.name, *(f"{value:.5g}" for value in values)]
-        for name in bolts:
-            row.append(f"{step.bolts[name].force:.5g}" if name in step.bolts else "")
+        row += [f"{step.bolts[name].force:.5g}" if name in step.bolts else "" for name in bolts]
         for name in supports:
             reaction = step.reactions.get(name)
             row.append(figures(reaction.force, step.local_error) if reaction else "")
