@@ -13,7 +13,7 @@ and for gradients with respect to Constants; `pulled_back` is for those with res
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -62,12 +62,9 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
     """Return each pair's gap and terms of its slip bound, with their effects. Collective."""
     jump, x = linearised.dual.jump, linearised.multipliers
     cones = linearised.dual.admissible.at_point(x, linearised.gradient)
-    curves: Iterator[Any] = iter(())
-    is_limited: Any = False
-    if isinstance(cones, FrictionCones):
-        # an entry for each pair with a curve, in the order of the pairs
-        curves = iter(cones.curve_arguments(x))
-        is_limited = cones.exceed_limit(x)
+    # an entry for each pair with a curve, in the order of the pairs
+    curves = iter(cones.curve_arguments(x) if isinstance(cones, FrictionCones) else ())
+    is_limited = cones.exceed_limit(x) if isinstance(cones, FrictionCones) else False
 
     def radii_of_bound(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for bounds c + F p with the same c and F at all nodes."""
@@ -88,22 +85,21 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
     }
     result: list[NodalField] = []
     for pair, rows in zip(pairs, jump.own_rows, strict=True):
-        operators = rows.operators
-        disc = rows.nodes  # the number of the disc of each node
+        operators, disc = rows.operators, rows.nodes  # each node has a disc
         node = np.arange(len(disc))
-        # fields with names and with `effect`: its entries, and their rows and columns
-        by_gap = 1.0 / jump.length_scale[rows.normal], (rows.normal, operators.normal_node)
-        fields: list[Any] = [(pair.gap, f"the gap of contact pair {pair}", by_gap)]
+        shape = len(x) + len(by_constant), len(node)
+        # entries of `effect`, with their rows and columns
+        entries: Any = 1.0 / jump.length_scale[rows.normal], (rows.normal, operators.normal_node)
+        effect, name = csr_array(entries, shape=shape), f"the gap of contact pair {pair}"
+        result.append(NodalField(pair.gap, name, operators.nodes, effect))
         for term, words in TERMS.items():
             scalar = getattr(pair.friction.terms, term)
             if term == "coefficient" and pair.friction.terms.curve is not None:
                 scalar = partial(pressed_values, *next(curves))
             if not isinstance(scalar, tuple):  # `check_controls` refuses two bounds of a pair
-                by_bound = by_term[term][disc], (len(x) + disc, node)
-                fields.append((scalar, f"{words} of {pair}", by_bound))
-        shape = len(x) + len(by_constant), len(node)
-        for scalar, name, effect in fields:
-            result.append(NodalField(scalar, name, operators.nodes, csr_array(effect, shape=shape)))
+                entries = by_term[term][disc], (len(x) + disc, node)
+                effect, name = csr_array(entries, shape=shape), f"{words} of {pair}"
+                result.append(NodalField(scalar, name, operators.nodes, effect))
     return result
 
 
@@ -222,6 +218,7 @@ class DataOfSolution:
         """
         self.contact, self.u, self.comm = contact, u, contact.comm
         self._residual, self._in_all_steps = residual, in_all_steps
+        self._values = contact.friction.values
         self._z = fem.Function(u.function_space, name="adjoint")
         self._work = ufl.action(residual, self._z)
         self._compiled: dict[Any, Any] = {}
@@ -286,7 +283,7 @@ class DataOfSolution:
             forces -= self.derivative(self._residual, control, direction)
             values += self._prescribed_by(control, flat(direction))
             for scalar in self._fields:
-                rates = contact.friction.values.slopes(
+                rates = self._values.slopes(
                     scalar.field, control, direction, scalar.nodes, scalar.name
                 )
                 if rates is not None:
@@ -330,7 +327,7 @@ class DataOfSolution:
         result = by_prescribed.array[: owned_size(control)] - self.derivative(self._work, control)
         for scalar in self._fields:
             at_nodes = scalar.effect.T @ derivatives.laws
-            by_field = self.contact.friction.values.pulled_back(
+            by_field = self._values.pulled_back(
                 scalar.field, control, scalar.nodes, at_nodes, scalar.name
             )
             if by_field is not None:

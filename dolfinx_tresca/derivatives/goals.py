@@ -86,8 +86,7 @@ def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Arr
         weights, m = pair.weights[i], goal.exponent
         whole = float(reduce_array(jump.comm, weights @ magnitude**m))  # S
         if whole > 0.0:
-            signed_power = np.sign(pressure) * magnitude ** (m - 1.0)
-            by_pressure = signed_power * whole ** (1.0 / m - 1.0)
+            by_pressure = np.sign(pressure) * magnitude ** (m - 1.0) * whole ** (1.0 / m - 1.0)
             by_x[n] = weights * by_pressure
     else:
         # the share of each node of the pair in the mean
@@ -208,8 +207,7 @@ def goal_error(
     estimator = dual.compliance.estimator
     error_products = estimator.products(linearised.u, z)
     # for each cell the root of the product of the errors of u and of z
-    cells = estimator.cell_errors(linearised.u)
-    errors_of_z = estimator.cell_errors(z)
+    cells, errors_of_z = estimator.cell_errors(linearised.u), estimator.cell_errors(z)
     cells.x.array[:] = np.sqrt(cells.x.array * errors_of_z.x.array)
     own_cells = cells.x.array[: len(error_products)]
     unsigned, signed = reduce_array(jump.comm, [own_cells @ own_cells, error_products.sum()])
@@ -275,8 +273,7 @@ def gradient(
     linearised, u = data.linearised, data.linearised.u
     jump, inner = linearised.dual.jump, linearised.dual.inner
     discs, sticks = linearised.face.discs, linearised.face.stick
-    if by_origin is None:
-        by_origin = np.zeros(discs.size)
+    by_origin = np.zeros(discs.size) if by_origin is None else by_origin
     by_next_origin = by_origin.copy()  # derivatives by those T u that are the next s
     row_sticks = sticks[discs.node]
     by_next_origin[discs.tangential[row_sticks]] = 0.0

@@ -169,14 +169,14 @@ class LinearisedContact:
         if not (is_solved and is_balanced):
             if transpose:
                 failure, cause = "the number has no adjoint", "the number depends on"
-                advice = "Ask for another number, or refine for the energy error"
+                advice = "Ask for another number, or refine for the energy error."
             else:
                 failure, cause = "the solution has no tangent", "the controls cause"
-                advice = "Take another direction, or the difference of two solutions"
+                advice = "Take another direction, or the difference of two solutions."
             raise ConvergenceError(
                 f"{failure}: with the contact state of each node fixed (open, sticking, slipping) "
-                "nothing, or hardly anything, holds a body against the motion that "
-                f"{cause}. {advice}."
+                f"nothing, or hardly anything, holds a body against the motion that {cause}. "
+                + advice
             )
         # the error of v is a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
@@ -201,8 +201,7 @@ class LinearisedContact:
         call. The first step is taken whole, so that G'y + S c = resultants holds from then on;
         further steps have orthonormal images and the factors with the least residual.
         """
-        dual, constraints = self.dual, self.dual.constraints
-        _, curvature, _ = self._states
+        dual, constraints, curvature = self.dual, self.dual.constraints, self._states[1]
         jump_at_start = dual.jump.of_unknowns(displacement.v)
         store = dual.compliance.known_products()
         model = store.model()
@@ -266,8 +265,7 @@ class LinearisedContact:
 
     def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
         """Return T and the other maps of `NodalMaps`, for `_gcr`. Not collective."""
-        x = self.multipliers
-        face, curvature, follow = self._states
+        (face, curvature, follow), x = self._states, self.multipliers
         if not transpose:
             cones = self.dual.admissible.at_point(x, self.gradient)
             return NodalMaps.on_face(cones, x, face, diagonal, curvature)

@@ -80,8 +80,7 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     # masks of nodes, then of facets whose nodes with multipliers all touch
     carries = values["state"] > ContactState.OUTSIDE
     touches = values["state"] >= ContactState.PRESSED
-    touches_if_it_carries = ~carries | touches
-    closed = touches_if_it_carries[facets].all(axis=1) & carries[facets].any(axis=1)
+    closed = (~carries | touches)[facets].all(axis=1) & carries[facets].any(axis=1)
     in_closed_facets = np.ones(len(carries), dtype=np.bool_)
     in_closed_facets[facets[~closed]] = False
     values["pressed"] = np.where(carries, touches, in_closed_facets).astype(float)
@@ -94,21 +93,15 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     return Contact(grid, title, label, slip_name, surface.obstacle)
 
 
-def size_of(panel: Any) -> tuple[float, float]:
-    """Return width and height of a panel [inches]."""
-    width, height = panel.bbox.size / panel.dpi
-    return float(width), float(height)
-
-
 def axes_at(panel: Any, left: float, bottom: float, width: float, height: float) -> Any:
     """Add axes that fill a rectangle of a panel [inches], for a chart, view or bar; return them."""
-    wide, high = size_of(panel)
+    wide, high = panel.bbox.size / panel.dpi  # inches
     return panel.add_axes((left / wide, bottom / high, width / wide, height / high))
 
 
 def write_header(panel: Any, title: str, legend: Sequence[Any]) -> None:
     """Write a title and below it the legend, at the top of a panel."""
-    width, height = size_of(panel)
+    width, height = panel.bbox.size / panel.dpi  # inches
     panel.text(LEFT / width, 1.0 - 0.3 / height, title, fontsize=11.0)
     panel.legend(
         handles=legend, ncols=max(len(legend), 1), loc="upper left", labelcolor="#404040",
@@ -135,11 +128,9 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
     usual = float(np.percentile(values, 85.0)) if clip and len(values) else 0.0
     if 0.0 < 2.5 * usual < largest:  # without a cut, 85 % of the values would look the same
         step = 0.5 * 10.0 ** math.floor(math.log10(usual))
-        end = step * math.ceil(usual / step - 1e-9)  # the next multiple of the step
-        return 0.0, end, largest
-    far_from_zero = 0.5 * largest < least < (1.0 - 1e-6) * largest
-    begin = least if far_from_zero else 0.0
-    return begin, largest or 1.0, largest
+        return 0.0, step * math.ceil(usual / step - 1e-9), largest
+    is_far_from_zero = 0.5 * largest < least < (1.0 - 1e-6) * largest
+    return least if is_far_from_zero else 0.0, largest or 1.0, largest
 
 
 def draw_bar(panel: Any, name: str, unit_name: str, cmap: str, limits: Sequence[float]) -> None:
@@ -148,7 +139,7 @@ def draw_bar(panel: Any, name: str, unit_name: str, cmap: str, limits: Sequence[
     from matplotlib.colors import Normalize
 
     low, high, largest = limits
-    width, _ = size_of(panel)
+    width, _ = panel.bbox.size / panel.dpi  # inches
     axes = axes_at(panel, 0.27 * width, 0.42, 0.58 * width, 0.12)
     label, extend = labelled(name, unit_name), "neither"
     if largest > high:
@@ -219,7 +210,7 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
         title += "" if contact.label else ": traction and slip positive along it"
     if values["sticks"].any():
         legend.append(handle("sticks", "black", "o"))
-    width, height = size_of(panel)
+    width, height = panel.bbox.size / panel.dpi  # inches
     margins = {"left": 0.65 / width, "right": 1.0 - 0.25 / width, "hspace": 0.14}
     margins |= {"bottom": 0.5 / height, "top": 1.0 - (HEADER + 0.05) / height}
     rows = {"height_ratios": (0.64, 0.36)[: len(charts)], "gridspec_kw": margins}
@@ -265,12 +256,11 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
         directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
         sideways, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
-        width, height = size_of(panel)
+        width, height = panel.bbox.size / panel.dpi  # inches
         height -= HEADER + FOOTER
-        half_height = max(upward / 0.96, sideways / 0.92 * height / width)
         plotter.enable_parallel_projection()
         plotter.view_vector(normal, viewup=up)
-        plotter.camera.parallel_scale = half_height or 1.0
+        plotter.camera.parallel_scale = max(upward / 0.96, sideways / 0.92 * height / width) or 1.0
         plotter.enable_anti_aliasing("msaa", multi_samples=8)
         pixels = [round(DPI * width), round(DPI * height)]
         image = plotter.screenshot(return_img=True, window_size=pixels)
@@ -316,8 +306,7 @@ def draw_bodies(
     faces, lift = skin(deformed), 4e-3 * bodies.length * normal
     # edges are those of cells that have no nodes but corners: if two cells of degree 2 have the
     # nodes of their common face in different orders, VTK takes it for an outer face of both
-    own_kind, own_count = volume.cell_types[0], volume.cells[0, 0]
-    kind, count = LINEAR.get(own_kind, (own_kind, own_count))
+    kind, count = LINEAR.get(volume.cell_types[0], (volume.cell_types[0], volume.cells[0, 0]))
     cells = np.insert(volume.cells[:, 1 : 1 + count], 0, count, axis=1)
     corner_grid = replace(volume, cells=cells, cell_types=np.full(len(cells), kind))
     # orientations of cells may differ: no creases in 2D, oriented faces in 3D
@@ -377,8 +366,7 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
     if scale < max(1.0, 2.0 * INVISIBLE * length / largest):  # hardly visible
         return 1.0
     power = 10.0 ** math.floor(math.log10(scale))
-    round_numbers = [1.0 * power, 2.0 * power, 3.0 * power, 5.0 * power]
-    return max(number for number in round_numbers if number <= scale + 1e-9)
+    return max(digit * power for digit in (1.0, 2.0, 3.0, 5.0) if digit * power <= scale + 1e-9)
 
 
 def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bool) -> bool:
@@ -474,8 +462,7 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
         largest = float(lengths[pressed if pressed.any() else slice(None)].max())
         if largest > 0.0:
             # shorter arrows on open parts, which may have moved by far more
-            shortening = np.minimum(1.0, largest / np.maximum(lengths, largest))
-            values["slip"] *= shortening[:, None]
+            values["slip"] *= np.minimum(1.0, largest / np.maximum(lengths, largest))[:, None]
             apart = 0.9 * spacing / surface.length if surface.n_points > most else None
             scale = {"scale": "slip", "factor": 1.3 * spacing / largest, "tolerance": apart}
             arrows = surface.translate(3.0 * lift).glyph(orient="slip", **scale)
@@ -507,8 +494,7 @@ def direction(surface: Any) -> tuple[Array, Array]:
     if np.linalg.norm(mean) < 0.1 * surface.area:  # closed, or nearly: seen obliquely
         return OBLIQUE, ALONG_Z
     normal = mean / np.linalg.norm(mean)
-    nearest_axis = np.argmax(np.abs(normal))
-    normal = normal * np.sign(normal[nearest_axis])
+    normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
     up = ALONG_Z if abs(normal[2]) < 0.9 else ALONG_Y
     right = np.cross(up, normal)
     up = up - (up @ normal) * normal

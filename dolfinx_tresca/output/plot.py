@@ -93,10 +93,8 @@ def plot(
         raise InputError(f"plot writes {', '.join(SUFFIXES)}, found '{name}'.")
     factor = None if scale is None else checked_number("scale", scale, "[0, inf)")
     volume = gather_grid([u])
-    gathered = []
-    for number, surface in enumerate(surfaces, start=1):
-        label = f"{number}" if len(surfaces) > 1 else ""
-        gathered.append(gather_contact(surface, label))
+    labels = [f"{i + 1}" if len(surfaces) > 1 else "" for i in range(len(surfaces))]
+    gathered = list(map(gather_contact, surfaces, labels))
     with errors_on_all_ranks(comm):
         if volume is None:
             return None

@@ -92,12 +92,9 @@ class ProblemSummary:
             distance = np.where(np.abs(distance) > rounding, distance, 0.0)
             extremes = distance.min(initial=np.inf), (-distance).min(initial=np.inf)
             least, negated_largest = reduce_array(comm, extremes, MPI.MIN)
-            if nodes:
-                counted, gap = f"{nodes} nodes", f"gap {least:.3g}"
-                if least != -negated_largest:
-                    gap += f" to {-negated_largest:.3g}"
-            else:
-                counted, gap = "no node is paired", ""
+            end = f" to {-negated_largest:.3g}" if least != -negated_largest else ""
+            gap = f"gap {least:.3g}{end}" if nodes else ""
+            counted = f"{nodes} nodes" if nodes else "no node is paired"
             texts.append((f"{pair}, {kind}: {counted}", gap, pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
 
@@ -239,8 +236,8 @@ def contact_rows(
     # both energies get enough digits to be distinguished
     larger = max(abs(primal), abs(dual)) or 1.0
     apart = 0.1 * abs(primal - dual) / larger
-    primal_text, dual_text = text(primal, "energy", apart), text(dual, "energy", apart)
-    rows.append(("energy", f"{primal_text} primal, {dual_text} dual"))
+    energies = [text(energy, "energy", apart) for energy in (primal, dual)]
+    rows.append(("energy", f"{energies[0]} primal, {energies[1]} dual"))
     return rows
 
 
@@ -253,11 +250,23 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     image = io.BytesIO()
     picture.save(image, format="PNG")
     encoded = base64.b64encode(image.getvalue()).decode()
+    # a row for each load step, with the bolts and supports of the last step
+    bolts, supports = list(solution.bolts), list(solution.reactions)
+    step_rows = [["step", "status", "normal force", "peak pressure", "dissipation"]]
+    step_rows[0] += [*bolts, *supports]
+    for number, step in enumerate([*steps, solution], start=1):
+        values = step.normal_force, step.peak_pressure, step.total_dissipation
+        row = [str(number), step.status.name, *(f"{value:.5g}" for value in values)]
+        row += [f"{step.bolts[name].force:.5g}" if name in step.bolts else "" for name in bolts]
+        for name in supports:
+            reaction = step.reactions.get(name)
+            row.append(figures(reaction.force, step.local_error) if reaction else "")
+        step_rows.append(row)
     sections = {
         "Result": as_html(solution._rows()),
         "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
         "Forces between bodies": force_graph(solution),
-        "Load steps": as_html(_rows_of_steps([*steps, solution])) if steps else "",
+        "Load steps": as_html(step_rows) if steps else "",
         "Problem": as_html(solution.problem_rows),
     }
     texts = {
@@ -269,21 +278,6 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     body = [f"<h2>{title}</h2>\n<div>{html}</div>" for title, html in sections.items() if html]
     title = f"<body><h1>Contact: {solution.status.value}</h1>"
     return "\n".join([HEAD, title, *body, "</body></html>\n"])
-
-
-def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
-    """Return a heading, and a row for each step with the bolts and supports of the last step."""
-    bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
-    rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
-    for number, step in enumerate(solutions, start=1):
-        values = step.normal_force, step.peak_pressure, step.total_dissipation
-        row = [str(number), step.status.name, *(f"{value:.5g}" for value in values)]
-        row += [f"{step.bolts[name].force:.5g}" if name in step.bolts else "" for name in bolts]
-        for name in supports:
-            reaction = step.reactions.get(name)
-            row.append(figures(reaction.force, step.local_error) if reaction else "")
-        rows.append(row)
-    return rows
 
 
 def force_graph(solution: Any) -> str:
