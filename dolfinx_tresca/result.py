@@ -234,17 +234,14 @@ class ContactSolution(Evaluation, Tabulated):
         Raises:
             InputError: an index belongs to no body, both are equal, or the point is not finite.
         """
-        indices = []
+        names, indices = self.body_names, []
         for given in (body, other):
-            if isinstance(given, str) and given in self.body_names:
-                indices.append(self.body_names.index(given))
-                continue
-            index, highest = integer(given), len(self.body_names) - 1
-            if index is None or not 0 <= index <= highest:
-                names = f"{self.body_names[0]!r} to {self.body_names[highest]!r}"
+            is_name = isinstance(given, str) and given in names
+            index = names.index(given) if is_name else integer(given)
+            if index is None or not 0 <= index < len(names):
                 raise InputError(
-                    f"a body is given by its index from 0 to {highest}, or by its name in "
-                    f"body_names, {names}, found {shown(given)}."
+                    f"a body is given by its index from 0 to {len(names) - 1}, or by its name in "
+                    f"body_names, {names[0]!r} to {names[-1]!r}, found {shown(given)}."
                 )
             indices.append(index)
         i, j = indices

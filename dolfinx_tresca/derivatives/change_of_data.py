@@ -299,11 +299,10 @@ class DataOfSolution:
             laws_on_sides = []
             for side, jump_of_u in zip(moved.sides, moved.jumps, strict=True):
                 radius = side.bounded(linearised.bounds).section(x).radius
-                finite_radius = np.where(np.isfinite(radius), radius, 0.0)
+                origin = Carry(linearised.dual.jump, side).jumps(moved.origin)
                 # a change of B u at fixed u has the effect of an opposite change of (d; s)
-                carried_origin = Carry(linearised.dual.jump, side).jumps(moved.origin)
-                offset = side.gap - jump_of_u + carried_origin
-                laws_on_sides.append(np.append(offset, finite_radius))
+                offset = side.gap - jump_of_u + origin
+                laws_on_sides.append(np.append(offset, np.where(np.isfinite(radius), radius, 0.0)))
             laws += moved.rate(laws_on_sides)
         return DataVector(np.where(prescribed, values, forces), laws, differences)
 
@@ -378,24 +377,6 @@ class DataOfSolution:
         vector = fem.assemble_vector(compiled)
         vector.scatter_reverse(dolfinx.la.InsertMode.add)
         return np.asarray(vector.array[: vector.index_map.size_local * vector.block_size])
-
-
-def inputs_of_problem(contact: ContactSystem) -> list[Any]:
-    """Return all Constants and Functions on which solutions depend. Not collective.
-
-    Places of obstacles and directions of friction are excepted. Values of `bcs` may be C++ objects.
-    """
-    inputs: list[Any] = []
-    for form in contact.linear.ufl_forms:
-        if form is not None:
-            inputs += [*form.coefficients(), *form.constants()]
-    for pair in contact.pairs:
-        terms = pair.friction.terms
-        bounds = [getattr(terms, name) for name in TERMS]
-        functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
-        inputs += inputs_of((pair.gap, *bounds, *functions))
-    inputs += [bc.g for bc in contact.linear.bcs]
-    return list(dict.fromkeys(inputs))
 
 
 def flat(direction: Any) -> Array:

@@ -472,11 +472,10 @@ def tangent_of(
             # vectors of the present components turn with the tangents of B
             tractions, tangential_slips = [], []
             for side, by_pair in zip(moved.sides, by_side, strict=True):
-                turned = by_pair[number]
-                tractions.append(turned.nodal_vectors(x * side.stress_scale)[:, 1:])
-                tangential_slips.append(turned.nodal_vectors(-r * side.length_scale)[:, 1:])
-            traction_change = traction_change + moved.rate(tractions)
-            slip_change = slip_change + moved.rate(tangential_slips)
+                tractions.append(by_pair[number].nodal_vectors(x * side.stress_scale))
+                tangential_slips.append(by_pair[number].nodal_vectors(-r * side.length_scale))
+            traction_change = traction_change + moved.rate(tractions)[:, 1:]
+            slip_change = slip_change + moved.rate(tangential_slips)[:, 1:]
         values = {"pressure": stresses[:, 0], "gap": -slips[:, 0]}
         if data.comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR):
             values |= {"traction": traction_change, "slip": slip_change}

@@ -94,8 +94,7 @@ class LinearisedContact:
     def _states(self) -> tuple[Face, Array, csr_array]:
         """The face with P, the diagonal (size,) of C, and I + Q (size, size). Collective."""
         dual, x, r = self.dual, self.multipliers, self.gradient
-        cones = dual.admissible.at_point(x, r)
-        target = dual.local_minimiser(x, r)
+        cones, target = dual.admissible.at_point(x, r), dual.local_minimiser(x, r)
         section = cones.section(x)
         face = section.face(target)
         slope, by_slip = cones.slopes(x, face.slip)
@@ -238,8 +237,7 @@ class LinearisedContact:
             step = np.concatenate([step_y, step_c, step_v])
             image = maps.test @ (product + curvature * step_y - constraints.columns @ step_c)
             if number == 0:
-                factor = 1.0
-                wanted_length = accuracy * length
+                factor, wanted_length = 1.0, accuracy * length
                 missing = np.zeros_like(missing)
             else:
                 norm_before = norm(dual, root * image)

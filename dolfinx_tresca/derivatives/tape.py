@@ -19,11 +19,12 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
+from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution
 from dolfinx_tresca.derivatives.goals import WeightedGoals, as_derivatives, gradient
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.load_steps import SlipHistory
-from dolfinx_tresca.dual.nodal_values import replaced, values_of
+from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
+from dolfinx_tresca.dual.slip_bounds import TERMS
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.scene.pair import Goal
 from dolfinx_tresca.solvers.feasible_set import CurveAtNodes
@@ -37,7 +38,7 @@ class _Recorded:
     """An accepted load step, as the tape keeps it until gradients are asked for.
 
     Attributes:
-        values: values of all inputs of the problem in this step, see `inputs_of_problem`.
+        values: values of all inputs of the problem in this step, in the order of the tape's.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         laws: `ContactSystem.law_values` of the step.
     """
@@ -90,7 +91,19 @@ class ProcessTape:
         """
         self._contact, self._solved_for, self._residual_at = contact, solved_for, residual_at
         self.comm = contact.comm
-        self._inputs = inputs_of_problem(contact)
+        # all Constants and Functions on which solutions depend, but for places of obstacles and
+        # directions of friction; values of `bcs` may be C++ objects
+        inputs: list[Any] = []
+        for form in contact.linear.ufl_forms:
+            if form is not None:
+                inputs += [*form.coefficients(), *form.constants()]
+        for pair in contact.pairs:
+            terms = pair.friction.terms
+            bounds = [getattr(terms, name) for name in TERMS]
+            functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
+            inputs += inputs_of((pair.gap, *bounds, *functions))
+        inputs += [bc.g for bc in contact.linear.bcs]
+        self._inputs = list(dict.fromkeys(inputs))
         self._steps: list[_Recorded] = []
         self._history: SlipHistory = contact.state.history  # after the last recorded step
 

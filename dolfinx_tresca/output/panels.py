@@ -220,8 +220,7 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
             sticks = values["sticks"][nodes] > 0.0
             for name in names:
                 y = values[name][nodes]
-                if y.ndim == 2:  # vectors: their components along the curve
-                    y = np.sum(y * directions, axis=1)
+                y = y if y.ndim == 1 else np.sum(y * directions, axis=1)
                 colour = CURVE_COLOUR if name == "pressure" else TANGENT_COLOUR
                 axes.plot(s, y, color=colour, linewidth=1.6, marker=".", markersize=5)
                 if name == "pressure":
@@ -298,8 +297,7 @@ def draw_bodies(
     scale = magnification(volume, contacts) if scale is None else scale
     flat = volume.dim == 2
     normal, up = (ALONG_Z, ALONG_Y) if flat else (OBLIQUE, ALONG_Z)
-    name = next(iter(volume.values))  # of the displacement
-    bodies = volume.to_pyvista()
+    name, bodies = next(iter(volume.values)), volume.to_pyvista()
     bodies.point_data["|u|"] = np.linalg.norm(bodies.point_data[name], axis=1)
     limits = colour_range(bodies.point_data["|u|"])
     deformed = bodies.warp_by_vector(name, factor=scale)
@@ -433,9 +431,8 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
     one_side = {"consistent_normals": True, "split_vertices": False}  # of the surface, for normals
     surface = skin(contact.grid.to_pyvista()).compute_normals(**one_side)
     contact_normals = surface.point_data_to_cell_data()["normal"]
-    # less than 0.15 is at the side of a body; edges of rounded surfaces have more
-    cosines = np.sum(contact_normals * surface.cell_data["Normals"], axis=1)
-    facing = np.abs(cosines) > 0.15
+    # less than this cosine is at the side of a body; edges of rounded surfaces have more
+    facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > 0.15
     surface = skin(surface.extract_cells(facing)).compute_normals(**one_side)
     normal, up = direction(surface)
     lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface

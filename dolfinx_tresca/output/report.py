@@ -81,9 +81,8 @@ class ProblemSummary:
         """Count cells, unknowns and contact nodes, and find the range of each gap. Collective."""
         mesh, comm, by_pair = system.V.mesh, system.comm, jump.by_pair
         cells = mesh.topology.index_map(mesh.topology.dim).size_global
-        own_contact_nodes = sum(len(pair.nodes) for pair in jump.pairs)
-        own_by_pair = [len(rows.nodes) for rows in by_pair]  # pairs of a group share nodes
-        own = [int(system.moves.sum()), own_contact_nodes, *own_by_pair]
+        own = [int(system.moves.sum()), sum(len(pair.nodes) for pair in jump.pairs)]
+        own += [len(rows.nodes) for rows in by_pair]  # pairs of a group share nodes
         free_dofs, contact_nodes, *counts = map(int, reduce_array(comm, own))
         texts = []
         for pair, rows, nodes in zip(pairs, by_pair, counts, strict=True):
@@ -119,8 +118,7 @@ class ProblemSummary:
 
 def figures(values: npt.ArrayLike, error: float) -> str:
     """Return the text of a number or vector with as many digits, 1 to 8, as its `error` allows."""
-    exact_digits = np.ceil(-np.log10(max(error, 1e-9)))
-    digits = int(np.clip(exact_digits, 1, 8))
+    digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
     largest, decimals = float(np.abs(values).max()), 0
     if 0.0 < largest < np.inf:
         decimals = digits - 1 - int(np.floor(np.log10(largest)))
@@ -130,19 +128,14 @@ def figures(values: npt.ArrayLike, error: float) -> str:
     return f"({components})" if np.ndim(values) else components
 
 
-def _may_be_zero(results: Evaluation) -> bool:
-    """Return whether no node is pressed or bonded, and the error as large as the displacement."""
-    counts = results.counts
-    return counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
-
-
 def error_rows(results: Evaluation) -> list[Row]:
     """Return the rows with the errors of the iteration, of slip bounds and of the mesh."""
+    touching = results.counts.contact + results.counts.bonded
     kind = "at most" if results.bound_is_rigorous else "about"
     bound = f"{kind} {results.energy_error_bound:.1e} of the solution's norm"
     if results.energy_error_bound == 0.0:
         bound = "zero to rounding"
-    elif _may_be_zero(results):
+    elif touching == 0 and results.energy_error_bound >= 1.0:
         return [("energy error", "as large as the solution, which may be zero")]
     elif np.isinf(results.energy_error_bound):
         bound = "not bounded, since constraints are dependent: more than nodes have free directions"
@@ -164,7 +157,10 @@ def contact_rows(
     counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
     if results.axisymmetric:
         dim = 3  # forces on whole rings
-    scale = 0.0 if _may_be_zero(results) else 1.0  # values that may be rounding are shown as zero
+    # where nothing touches, and the error is as large as the solution, this may be zero: values
+    # that may be rounding are shown as zero
+    may_be_zero = counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
+    scale = 0.0 if may_be_zero else 1.0
     has_friction = any(surface.traction is not None for surface in results.surfaces)
     has_history = any(surface.slip_increment is not surface.slip for surface in results.surfaces)
 
@@ -234,8 +230,7 @@ def contact_rows(
     rows += abridged(bolt_rows, "bolts")
     primal, dual = results.primal_energy, results.dual_energy
     # both energies get enough digits to be distinguished
-    larger = max(abs(primal), abs(dual)) or 1.0
-    apart = 0.1 * abs(primal - dual) / larger
+    apart = 0.1 * abs(primal - dual) / (max(abs(primal), abs(dual)) or 1.0)
     energies = [text(energy, "energy", apart) for energy in (primal, dual)]
     rows.append(("energy", f"{energies[0]} primal, {energies[1]} dual"))
     return rows
@@ -252,8 +247,7 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     encoded = base64.b64encode(image.getvalue()).decode()
     # a row for each load step, with the bolts and supports of the last step
     bolts, supports = list(solution.bolts), list(solution.reactions)
-    step_rows = [["step", "status", "normal force", "peak pressure", "dissipation"]]
-    step_rows[0] += [*bolts, *supports]
+    table = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
     for number, step in enumerate([*steps, solution], start=1):
         values = step.normal_force, step.peak_pressure, step.total_dissipation
         row = [str(number), step.status.name, *(f"{value:.5g}" for value in values)]
@@ -261,12 +255,12 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
         for name in supports:
             reaction = step.reactions.get(name)
             row.append(figures(reaction.force, step.local_error) if reaction else "")
-        step_rows.append(row)
+        table.append(row)
     sections = {
         "Result": as_html(solution._rows()),
         "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
         "Forces between bodies": force_graph(solution),
-        "Load steps": as_html(step_rows) if steps else "",
+        "Load steps": as_html(table) if steps else "",
         "Problem": as_html(solution.problem_rows),
     }
     texts = {
