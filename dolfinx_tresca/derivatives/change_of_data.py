@@ -154,9 +154,8 @@ def jump_differences(
         solved = contact.solution_for("a derivative")
         origin = solved.dual.history.origin
         in_step = moves & solved.obstacle_moves
-        for pair, moves_in_step, rows in zip(contact.pairs, in_step, jump.own_rows, strict=True):
-            slips = bool(origin[rows.tangential].any())
-            if moves_in_step and contact.comm.allreduce(slips, op=MPI.LOR):
+        for pair, moved, rows in zip(contact.pairs, in_step, jump.own_rows, strict=True):
+            if moved and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
                 raise InputError(
                     f"contact pair {pair}: the derivative with respect to the place of an "
                     "obstacle is not known for a load step in which move_to() moves it."
@@ -170,12 +169,12 @@ def jump_differences(
         sides.append(displaced.along_axes(linearised.bounds))
     # both sides must have the present nodes, weights and, nearly, tangents: the same rows of B
     has_same_rows = all(
-        np.array_equal(moved.nodes, rows.nodes)
-        and np.array_equal(moved.row_node, rows.row_node)
-        and np.allclose(moved.weights, rows.weights, rtol=1e-9)
-        and (np.abs(moved.tangents - rows.tangents) <= 0.05).all()
+        np.array_equal(displaced.nodes, present.nodes)
+        and np.array_equal(displaced.row_node, present.row_node)
+        and np.allclose(displaced.weights, present.weights, rtol=1e-9)
+        and (np.abs(displaced.tangents - present.tangents) <= 0.05).all()
         for side in sides
-        for moved, rows in zip(side.pairs, jump.pairs, strict=True)
+        for displaced, present in zip(side.pairs, jump.pairs, strict=True)
     )
     if not contact.comm.allreduce(has_same_rows, op=MPI.LAND):
         raise InputError(
@@ -325,9 +324,8 @@ class DataOfSolution:
         by_prescribed.scatter_reverse(dolfinx.la.InsertMode.add)
         result = by_prescribed.array[: owned_size(control)] - self.derivative(self._work, control)
         for scalar in self._fields:
-            at_nodes = scalar.effect.T @ derivatives.laws
             by_field = self._values.pulled_back(
-                scalar.field, control, scalar.nodes, at_nodes, scalar.name
+                scalar.field, control, scalar.nodes, scalar.effect.T @ derivatives.laws, scalar.name
             )
             if by_field is not None:
                 result += by_field

@@ -450,8 +450,7 @@ def tangent_of(
     du, dx = linearised.tangent(free_load, offset, radius)
     jump_change = jump.of_displacement(du)
     # the gap is d - N u, and the slip T u - s, with the offsets d and s
-    slip = (jump_change - offset) * jump.length_scale
-    stress = dx * jump.stress_scale
+    slip, stress = (jump_change - offset) * jump.length_scale, dx * jump.stress_scale
 
     def change_of(goal: Any) -> float:
         goal = data.checked_goal(goal)

@@ -105,8 +105,7 @@ class LinearisedContact:
             )
         # Q is the sum of g' t n' over slipping nodes: slope g' of the bound, unit normal vector n
         follow = cones.nodal_matrix(np.ones_like(x), (face.radial, cones.at_normals(slope)))
-        curvature = section.circle_stiffness(r, face)
-        return face, curvature, follow
+        return face, section.circle_stiffness(r, face), follow
 
     def tangent(self, force: Array, offset: Array, radius: Array) -> tuple[fem.Function, Array]:
         """Return the changes du of the displacement and dx (size,) of the multipliers. Collective.
@@ -211,8 +210,7 @@ class LinearisedContact:
         residual = maps.test @ (jump_at_start - offset)  # `solve_on_face` tests again: T T = T
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
         rounding = RESIDUAL_ROUNDING * norm(dual, root * (np.abs(jump_at_start) + np.abs(offset)))
-        tolerable = max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * residual)
-        accepted = max(tolerable, rounding)
+        accepted = max(max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * residual), rounding)
         # the unknowns y, c and v in one array, as in each step of them; with a direct solver v is
         # empty here, since only its values at the start and at the end are needed
         v = np.zeros(0) if dual.compliance.exact else displacement.v.array
@@ -226,8 +224,7 @@ class LinearisedContact:
             step_y, step_c = model.solve_on_face(
                 maps, residual, constraints.columns, constraints.softness, missing
             )
-            squared_length = float(dual.inner(step_y, model.apply(step_y)))
-            length = np.sqrt(max(squared_length, 0.0))
+            length = np.sqrt(max(float(dual.inner(step_y, model.apply(step_y))), 0.0))
             # the last step needs no product: it is shorter than the wanted error, or the residual
             # from which it comes is rounding
             if number and (length <= wanted_length or norm(dual, root * residual) <= rounding):

@@ -137,13 +137,11 @@ class ProcessTape:
         yield
         self._history = contact.state.history
         # arrays that have not changed since the last step are shared with it
-        values: list[Array] = []
-        for number, control in enumerate(self._inputs):
-            present = values_of(control)
-            if self._steps and np.array_equal(self._steps[-1].values[number], present):
-                values.append(self._steps[-1].values[number])
-            else:
-                values.append(present.copy())
+        values = [values_of(control).copy() for control in self._inputs]
+        former_values = self._steps[-1].values if self._steps else []
+        for number, former in enumerate(former_values):
+            if np.array_equal(former, values[number]):
+                values[number] = former
         moves = bool(step.obstacle_moves.any())
         self._steps.append(_Recorded(linearised, moves, values, step.curves, step.laws))
 
@@ -172,10 +170,8 @@ class ProcessTape:
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
         by_step = self._derivatives(goals, controls)  # checks the controls first
-        sums: list[Any] = [0.0] * len(controls)
-        for derivatives in by_step:
-            sums = [total + values for total, values in zip(sums, derivatives, strict=True)]
-        return as_derivatives(sums, controls, self.comm)
+        columns = zip([0.0] * len(controls), *by_step, strict=True)  # of each control in all steps
+        return as_derivatives([sum(column) for column in columns], controls, self.comm)
 
     @collective(comm_of_self)
     def gradient_by_step(
@@ -235,8 +231,7 @@ class ProcessTape:
             step, weighted = steps[number], goals_of_step.get(number, [])
             with replaced(self._inputs, step.values):
                 # the recorded inputs must give the recorded gaps and friction
-                laws = contact.law_values(step.curves)
-                same = all(map(np.array_equal, laws, step.laws))
+                same = all(map(np.array_equal, contact.law_values(step.curves), step.laws))
                 if not self.comm.allreduce(same, op=MPI.LAND):
                     raise InputError(
                         f"a gap or a law of friction has other values than in load step {number}: "

@@ -360,8 +360,7 @@ def write_vtu(path: Path, grid: Grid) -> None:
         for name, values in arrays.items():
             array = ET.SubElement(element, "DataArray", Name=name, format="binary")
             array.set("type", _TYPES[values.dtype.str[1:]])
-            components = values.shape[1] if values.ndim == 2 else 1
-            array.set("NumberOfComponents", str(components))
+            array.set("NumberOfComponents", str(values.shape[1] if values.ndim == 2 else 1))
             # VTK's compressed text of one block (ParaView 5.11 fails at raw data behind XML). The
             # header: number of blocks, size of a block, of a shorter last one, compressed size
             packed = zlib.compress(values.tobytes(), level=1)

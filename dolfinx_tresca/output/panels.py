@@ -327,8 +327,21 @@ def draw_bodies(
         if any(drawn):
             legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
         if flat and contacts:
+            dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
+            box = {"shape_color": CURVE_COLOUR, "shape_opacity": 1.0, "always_visible": True}
+            text = {"text_color": "white", "font_size": 24, "bold": False, "show_points": False}
             for contact in contacts:
-                draw_line(plotter, contact, scale, 2.0 * lift)
+                # the contact curve on the deformed bodies, thick where pressed, and its start
+                curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale)
+                curve = curve.translate(2.0 * lift)
+                pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
+                plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
+                plotter.add_mesh(pressed, color=CURVE_COLOUR, line_width=5.6, lighting=False)
+                nodes, _, _ = unrolled(contact.grid)[0]
+                start = curve.points[nodes[:1]]
+                plotter.add_points(start, color=OPEN_LINE, **dot)
+                if contact.label:
+                    plotter.add_point_labels(start, [contact.label], **text, **box)
             legend.append(handle("contact", CURVE_COLOUR, linewidth=2.8))
             legend.append(handle("open", OPEN_LINE, linewidth=0.8))
             legend.append(handle("start", OPEN_LINE, "o"))
@@ -404,22 +417,6 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
     return True
 
 
-def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None:
-    """Draw a contact curve on the deformed bodies, thick and red where pressed, and its start."""
-    curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale).translate(lift)
-    pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
-    plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
-    plotter.add_mesh(pressed, color=CURVE_COLOUR, line_width=5.6, lighting=False)
-    nodes, _, _ = unrolled(contact.grid)[0]
-    start = curve.points[nodes[:1]]
-    dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
-    plotter.add_points(start, color=OPEN_LINE, **dot)
-    if contact.label:
-        box = {"shape_color": CURVE_COLOUR, "shape_opacity": 1.0, "always_visible": True}
-        text = {"text_color": "white", "font_size": 24, "bold": False, "show_points": False}
-        plotter.add_point_labels(start, [contact.label], **text, **box)
-
-
 def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None:
     """Draw a contact surface: pressures as colours, slips as arrows, sticking nodes as discs.
 
@@ -467,9 +464,8 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
             plotter.add_mesh(arrows, lighting=False, **colours)
             text = f"{contact.slip_name}, at most {largest:.3g} {length}".rstrip()
             legend.append(handle(text, "black", "$\u2192$", markersize=9.0, markeredgewidth=0.3))
-        sticks = values["sticks"] > 0.0
-        if sticks.any():
-            centres = pyvista.PolyData(surface.points[sticks] + 2.0 * lift)
+        if (values["sticks"] > 0.0).any():
+            centres = pyvista.PolyData(surface.points[values["sticks"] > 0.0] + 2.0 * lift)
             radius = 0.17 * math.sqrt(surface.area / max(surface.n_points, least))
             disc = pyvista.Disc(inner=0.0, outer=radius, normal=normal, c_res=20)
             discs = centres.glyph(geom=disc, orient=False, scale=False)

@@ -154,9 +154,8 @@ def contact_rows(
 
     Values have the digits that `results.local_error` justifies, energies enough to differ.
     """
-    counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
-    if results.axisymmetric:
-        dim = 3  # forces on whole rings
+    counts, mesh = results.counts, results.u.function_space.mesh
+    dim = 3 if results.axisymmetric else mesh.geometry.dim  # 3: forces on whole rings
     # where nothing touches, and the error is as large as the solution, this may be zero: values
     # that may be rounding are shown as zero
     may_be_zero = counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
@@ -175,11 +174,11 @@ def contact_rows(
     open_nodes = counts.nodes - counts.contact - counts.bonded
     pressed, opened = f"{counts.contact}", f"{open_nodes}"
     if has_friction and counts.contact > 0:
-        slipping = counts.contact - counts.contact_stick
-        pressed += f": {counts.contact_stick} stick, {slipping} slip"
+        stick = counts.contact_stick
+        pressed += f": {stick} stick, {counts.contact - stick} slip"
     if has_friction and open_nodes > counts.idle:
-        open_stick = counts.stick - counts.contact_stick
-        opened += f": {open_stick} stick, {open_nodes - open_stick - counts.idle} slip"
+        stick = counts.stick - counts.contact_stick
+        opened += f": {stick} stick, {open_nodes - stick - counts.idle} slip"
     if len(states) == 1:
         opened += openings[0]
     rows = [("contact nodes", f"{counts.nodes}"), ("  pressed", pressed), ("  open", opened)]
