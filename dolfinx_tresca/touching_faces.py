@@ -129,20 +129,20 @@ def contacts(
     measures: dict[tuple[int, int], TouchingFaces] = {}
     reach = 0.0  # the largest of the distances up to which faces are a pair
     for tags in combinations(faces, 2):
-        bodies, boxes, _ = zip(*(faces[tag] for tag in tags), strict=True)
-        if bodies[0] == bodies[1]:
+        face, opposite = faces[tags[0]], faces[tags[1]]
+        if face.body == opposite.body:
             continue
-        near = min(sizes[body] for body in bodies) if limit is None else limit
+        near = min(sizes[face.body], sizes[opposite.body]) if limit is None else limit
         reach = max(reach, near)
         # distance of the boxes, from how far they are apart along each axis
-        apart = np.maximum(boxes[0][0] - boxes[1][1], boxes[1][0] - boxes[0][1])
+        apart = np.maximum(face.box[0] - opposite.box[1], opposite.box[0] - face.box[1])
         away = float(np.linalg.norm(np.maximum(apart, 0.0)))
-        for body in bodies:
+        for body in (face.body, opposite.body):
             distances[body] = min(distances[body], away)
         if away > near:
             continue
-        if not is_secondary_body(*bodies, *(sizes[body] for body in bodies)):
-            tags = tags[::-1]
+        if not is_secondary_body(face.body, opposite.body, sizes[face.body], sizes[opposite.body]):
+            tags = tags[::-1]  # the secondary face comes first
         pair = ContactPair(facet_tags, *tags, friction, **options)
         # paired as in a problem, but without prescribed displacements, where the faces are near
         limited = replace(pair, pairing="auto", search_distance=near, sliding="small", gap=None)

@@ -77,7 +77,8 @@ def refine(
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
     # new cells on the ranks of the old ones, and their nodes on curved surfaces
-    bisection = bisected(mesh, cells_to_refine(comm, np.square(errors / largest), fraction))
+    marked = cells_to_refine(comm, np.square(errors / largest), fraction)
+    bisection = bisected(mesh, marked)
     facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
     with ExitStack() as session:
         with errors_on_all_ranks(comm):

@@ -50,8 +50,8 @@ _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 #: orange for slip, light colours for open nodes.
 STATE_COLOURS = Path(__file__).with_name("contact_state.json")
 
-#: Attributes of VTK's files. Below version 2.2, readers reorder nodes of hexahedra of degree 2.
 _ORDER = f"{sys.byteorder.capitalize()}Endian"
+#: Attributes of VTK's files. Below version 2.2, readers reorder nodes of hexahedra of degree 2.
 _HEADER = {"version": "2.2", "byte_order": _ORDER, "header_type": "UInt64"}
 
 _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}

@@ -425,7 +425,7 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
     """
     import pyvista
 
-    one_side = {"consistent_normals": True, "split_vertices": False}  # of the surface, for normals
+    one_side = {"consistent_normals": True, "split_vertices": False}  # for all normals
     surface = skin(contact.grid.to_pyvista()).compute_normals(**one_side)
     contact_normals = surface.point_data_to_cell_data()["normal"]
     # less than this cosine is at the side of a body; edges of rounded surfaces have more

@@ -316,8 +316,7 @@ def environment() -> str:
     petsc = ".".join(map(str, PETSc.Sys.getVersion()))
     scalars, indices = np.dtype(PETSc.ScalarType), np.dtype(PETSc.IntType)
     solvers = [name for name in SOLVERS if PETSc.Sys.hasExternalPackage(name)]
-    blas_names = {Path(path).name for path in libraries if BLAS.search(path)}
-    blas = ", ".join(sorted(blas_names))
+    blas = ", ".join(sorted({Path(path).name for path in libraries if BLAS.search(path)}))
     slow = ", the slow reference implementation" if reference_blas(libraries) else ""
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
     rows: list[Row] = [
