@@ -234,7 +234,17 @@ class ContactSolution(Evaluation, Tabulated):
         Raises:
             InputError: an index belongs to no body, both are equal, or the point is not finite.
         """
-        i, j = self._body_index(body), self._body_index(other)
+        names, indices = self.body_names, []
+        for given in (body, other):
+            is_name = isinstance(given, str) and given in names
+            index = names.index(given) if is_name else integer(given)
+            if index is None or not 0 <= index < len(names):
+                raise InputError(
+                    f"a body is given by its index from 0 to {len(names) - 1}, or by its name in "
+                    f"body_names, {names[0]!r} to {names[-1]!r}, found {shown(given)}."
+                )
+            indices.append(index)
+        i, j = indices
         if i == j:
             raise InputError(f"forces are between two bodies, found {shown(body)} twice.")
         whole = self.body_resultants[0]
@@ -243,19 +253,6 @@ class ContactSolution(Evaluation, Tabulated):
         sign = 1.0 if i < j else -1.0
         on_body = Resultant(sign * between.force, sign * between.moment, between.point)
         return on_body.about(whole.point if point is None else point)
-
-    def _body_index(self, body: int | str) -> int:
-        """Return the index of a body that is given by its index or by its name."""
-        if isinstance(body, str) and body in self.body_names:
-            return self.body_names.index(body)
-        index, highest = integer(body), len(self.body_names) - 1
-        if index is None or not 0 <= index <= highest:
-            names = f"{self.body_names[0]!r} to {self.body_names[highest]!r}"
-            raise InputError(
-                f"a body is given by its index from 0 to {highest}, or by its name in body_names, "
-                f"{names}, found {shown(body)}."
-            )
-        return index
 
     def raise_if_failed(self) -> None:
         """Raise an error unless the iteration reached the requested accuracy. Not collective.

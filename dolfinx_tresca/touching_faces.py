@@ -113,15 +113,15 @@ def contacts(
     limit = None if distance is None else checked_number("distance", distance)
     mesh, facet_tags = tagged.mesh, tagged.facet_tags
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
+    prescribed = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
     faces = _faces(V, facet_tags)
     # for each body its tags, the mean size of its facets, and how far away the other bodies are
     tags_of_body: dict[int, list[int]] = {}
     for tag, face in faces.items():
         tags_of_body.setdefault(face.body, []).append(tag)
-    sizes = {
-        body: float(np.mean([faces[tag].size for tag in tags]))
-        for body, tags in tags_of_body.items()
-    }
+    sizes: dict[int, float] = {}
+    for body, tags_of_faces in tags_of_body.items():
+        sizes[body] = float(np.mean([faces[tag].size for tag in tags_of_faces]))
     if len(sizes) < 2:
         raise MeshError("contacts need tags of two bodies, which no other body has on its faces.")
     distances = {body: np.inf for body in sizes}
@@ -129,25 +129,33 @@ def contacts(
     measures: dict[tuple[int, int], TouchingFaces] = {}
     reach = 0.0  # the largest of the distances up to which faces are a pair
     for tags in combinations(faces, 2):
-        bodies, boxes, _ = zip(*(faces[tag] for tag in tags), strict=True)
-        if bodies[0] == bodies[1]:
+        face, opposite = faces[tags[0]], faces[tags[1]]
+        if face.body == opposite.body:
             continue
-        near = min(sizes[body] for body in bodies) if limit is None else limit
+        near = min(sizes[face.body], sizes[opposite.body]) if limit is None else limit
         reach = max(reach, near)
         # distance of the boxes, from how far they are apart along each axis
-        apart = np.maximum(boxes[0][0] - boxes[1][1], boxes[1][0] - boxes[0][1])
+        apart = np.maximum(face.box[0] - opposite.box[1], opposite.box[0] - face.box[1])
         away = float(np.linalg.norm(np.maximum(apart, 0.0)))
-        for body in bodies:
+        for body in (face.body, opposite.body):
             distances[body] = min(distances[body], away)
         if away > near:
             continue
-        if not is_secondary_body(*bodies, *(sizes[body] for body in bodies)):
-            tags = tags[::-1]
+        if not is_secondary_body(face.body, opposite.body, sizes[face.body], sizes[opposite.body]):
+            tags = tags[::-1]  # the secondary face comes first
         pair = ContactPair(facet_tags, *tags, friction, **options)
-        touch = _measured(V, pair, near)
-        if touch is not None:
-            pairs.append(pair)
-            measures[pair.secondary, pair.primary] = touch
+        # paired as in a problem, but without prescribed displacements, where the faces are near
+        limited = replace(pair, pairing="auto", search_distance=near, sliding="small", gap=None)
+        try:
+            with each_warning_once():
+                operators = pair_surfaces(V, prescribed, limited)
+        except PairingError:
+            continue
+        depth = float(reduce_array(mesh.comm, -operators.gap.min(initial=np.inf), MPI.MAX))
+        area = float(reduce_array(mesh.comm, operators.weights.sum()))
+        pairs.append(pair)
+        touch = TouchingFaces(area, gap=max(0.0, -depth), overlap=max(0.0, depth))
+        measures[pair.secondary, pair.primary] = touch
     # warn of bodies that touch no other body; without any contact this is an error
     touching = {faces[tag].body for tags in measures for tag in tags}
     for body in sorted(sizes.keys() - touching):
@@ -161,23 +169,6 @@ def contacts(
             raise error
         warn(mesh.comm, "%s", error, about=names)
     return Contacts(pairs, measures, reach)
-
-
-def _measured(V: Any, pair: ContactPair, near: float) -> TouchingFaces | None:
-    """Return measures of a pair's faces where they are within `near` [length]; None if nowhere.
-
-    The faces are paired as in a problem, but without prescribed displacements. Collective.
-    """
-    limited = replace(pair, pairing="auto", search_distance=near, sliding="small", gap=None)
-    prescribed = np.zeros(V.dofmap.index_map.size_local * V.dofmap.index_map_bs, dtype=np.bool_)
-    try:
-        with each_warning_once():
-            operators = pair_surfaces(V, prescribed, limited)
-    except PairingError:
-        return None
-    depth = float(reduce_array(V.mesh.comm, -operators.gap.min(initial=np.inf), MPI.MAX))
-    area = float(reduce_array(V.mesh.comm, operators.weights.sum()))
-    return TouchingFaces(area, max(0.0, -depth), max(0.0, depth))
 
 
 def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:

@@ -77,7 +77,8 @@ def refine(
     if largest == 0.0:
         raise InputError("cell_errors are all zero: there is nothing to refine.")
     # new cells on the ranks of the old ones, and their nodes on curved surfaces
-    bisection = bisected(mesh, cells_to_refine(comm, np.square(errors / largest), fraction))
+    marked = cells_to_refine(comm, np.square(errors / largest), fraction)
+    bisection = bisected(mesh, marked)
     facets, facet_values = bisection.inherited(tagged_mesh.facet_tags)
     with ExitStack() as session:
         with errors_on_all_ranks(comm):
@@ -184,29 +185,22 @@ def snapped(
     """Return points (nodes, 3) of the new mesh, on curved surfaces as far as possible. Collective.
 
     Nodes of `facets` (m, d) move to the surface in `surfaces` of their tag in `tags` (m,), those of
-    several surfaces to each in turn. Nodes of cells that would become flat do not move.
+    several surfaces to each in turn. Nodes of cells that would become flat or inverted do not move;
+    a warning has their number, and the next refinement, with smaller cells, tries again.
     """
-    mesh, moved = bisection.mesh, bisection.mesh.geometry.x.copy()
+    mesh, cells, start = bisection.mesh, bisection.nodes, bisection.mesh.geometry.x
+    projected = start.copy()
     comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
     for tag, exact in surfaces.items():
         nodes = np.unique(facets[tags == tag])
         if reduce_array(comm, len(nodes)) == 0:
             raise InputError(f"the geometry has facets that there are not: none has the tag {tag}.")
         with errors_on_all_ranks(comm):
-            target = project_points(moved[nodes], f"geometry[{tag}]", exact.project, dim)
-        # another rank may know of a node, but of none of its facets
+            target = project_points(projected[nodes], f"geometry[{tag}]", exact.project, dim)
+        # a mean, since another rank may know of a node, but of none of its facets
         sums = summed_at_nodes(index_map, nodes, np.column_stack([target, np.ones(len(nodes))]))
-        moved = np.where(sums[:, 3:] > 0.0, sums[:, :3] / np.maximum(sums[:, 3:], 1.0), moved)
-    return _without_flat_cells(bisection, moved)
-
-
-def _without_flat_cells(bisection: Bisection, projected: Array) -> Array:
-    """Return `projected` points (nodes, 3), but nodes of flat or inverted cells stay in place.
-
-    Collective. A warning has their number; the next refinement, with smaller cells, tries again.
-    """
-    mesh, cells, start = bisection.mesh, bisection.nodes, bisection.mesh.geometry.x
-    comm, dim, index_map = mesh.comm, mesh.topology.dim, mesh.geometry.index_map()
+        ranks = sums[:, 3:]  # (nodes, 1) the number of ranks that give the point of the node
+        projected = np.where(ranks > 0.0, sums[:, :3] / np.maximum(ranks, 1.0), projected)
 
     def volumes(points: Array) -> Array:
         sides = points[cells[:, 1:]] - points[cells[:, :1]]
@@ -216,7 +210,8 @@ def _without_flat_cells(bisection: Bisection, projected: Array) -> Array:
     held: Mask = np.zeros(len(start), dtype=np.bool_)
     points, before = projected, volumes(start)
     while True:
-        flat = cells[np.sign(before) * volumes(points) < 0.1 * np.abs(before)]
+        is_flat = np.sign(before) * volumes(points) < 0.1 * np.abs(before)
+        flat = cells[is_flat]
         corners = summed_at_nodes(index_map, flat, np.ones((*flat.shape, 1)))[:, 0] > 0.0
         if reduce_array(comm, (corners & ~held).sum()) == 0:
             break

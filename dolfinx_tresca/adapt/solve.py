@@ -350,10 +350,9 @@ def solve_adaptively(
                 status = AdaptiveStatus.MAX_LEVELS
             else:
                 finer = refine(tagged_mesh, level.cell_errors, fraction)
-                cells, finer_cells = (
-                    tagged.mesh.topology.index_map(tagged.mesh.topology.dim).size_global
-                    for tagged in (tagged_mesh, finer)
-                )
+                dim = tagged_mesh.mesh.topology.dim
+                cells = tagged_mesh.mesh.topology.index_map(dim).size_global
+                finer_cells = finer.mesh.topology.index_map(dim).size_global
                 if finer_cells / cells * level.free_dofs > most_dofs:
                     status = AdaptiveStatus.MAX_DOFS
                 else:

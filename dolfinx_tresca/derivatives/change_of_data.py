@@ -13,7 +13,7 @@ and for gradients with respect to Constants; `pulled_back` is for those with res
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -28,7 +28,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import check_type
-from dolfinx_tresca._base.arrays import Array, LocalNumbers, Mask
+from dolfinx_tresca._base.arrays import Array, LocalNumbers
 from dolfinx_tresca._base.functions import owned_size
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
@@ -68,10 +68,11 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
 
     def radii_of_bound(constant: float, coefficient: float) -> Array:
         """Return the radii (n_discs,) for bounds c + F p with the same c and F at all nodes."""
-        bounds = [
-            NodalBounds(constant * unit, coefficient * unit, np.inf * unit, np.ones((len(unit), 2)))
-            for unit in [np.ones(len(pair.nodes)) for pair in jump.pairs]
-        ]
+        bounds = []
+        for pair in jump.pairs:
+            ones = np.ones(len(pair.nodes))
+            circles = np.ones((len(ones), 2))
+            bounds.append(NodalBounds(constant * ones, coefficient * ones, np.inf * ones, circles))
         return np.asarray(jump.bounded(bounds).section(x).radius)
 
     # derivatives of the radii for bounds c + min(F p, l): since a radius is linear in the bound,
@@ -84,20 +85,21 @@ def nodal_fields(linearised: LinearisedContact, pairs: Sequence[ContactPair]) ->
     }
     result: list[NodalField] = []
     for pair, rows in zip(pairs, jump.own_rows, strict=True):
-        operators, disc, node = rows.operators, rows.nodes, np.arange(len(rows.nodes))
+        operators, disc = rows.operators, rows.nodes  # each node has a disc
+        node = np.arange(len(disc))
+        shape = len(x) + len(by_constant), len(node)
         # entries of `effect`, with their rows and columns
-        by_gap = 1.0 / jump.length_scale[rows.normal], (rows.normal, operators.normal_node)
-        fields: list[Any] = [(pair.gap, f"the gap of contact pair {pair}", by_gap)]
+        entries: Any = 1.0 / jump.length_scale[rows.normal], (rows.normal, operators.normal_node)
+        effect, name = csr_array(entries, shape=shape), f"the gap of contact pair {pair}"
+        result.append(NodalField(pair.gap, name, operators.nodes, effect))
         for term, words in TERMS.items():
             scalar = getattr(pair.friction.terms, term)
             if term == "coefficient" and pair.friction.terms.curve is not None:
                 scalar = partial(pressed_values, *next(curves))
             if not isinstance(scalar, tuple):  # `check_controls` refuses two bounds of a pair
-                by_bound = by_term[term][disc], (len(x) + disc, node)
-                fields.append((scalar, f"{words} of {pair}", by_bound))
-        shape = len(x) + len(by_constant), len(node)
-        for scalar, name, effect in fields:
-            result.append(NodalField(scalar, name, operators.nodes, csr_array(effect, shape=shape)))
+                entries = by_term[term][disc], (len(x) + disc, node)
+                effect, name = csr_array(entries, shape=shape), f"{words} of {pair}"
+                result.append(NodalField(scalar, name, operators.nodes, effect))
     return result
 
 
@@ -121,9 +123,9 @@ class JumpDifferences:
     step: float
     origin: Array
 
-    def rate(self, function: Callable[[JumpOperator, Array], Any]) -> Any:
-        """Return the rate of a function of B and B u along the direction; collective if it is."""
-        after, before = map(function, self.sides, self.jumps)
+    def rate(self, values: Sequence[Any]) -> Any:
+        """Return the rate along the direction of a quantity with these values on both sides."""
+        after, before = values
         return (after - before) / (2.0 * self.step)
 
 
@@ -146,7 +148,18 @@ def jump_differences(
     moves = rates > 0.0
     if not moves.any():
         return None
-    origin = np.zeros(len(jump.gap)) if in_all_steps else _kept_origin(contact, moves)
+    origin: Array = np.zeros(len(jump.gap))
+    if not in_all_steps:
+        # where move_to() has moved an obstacle in this step, the slip origin depends on its place
+        solved = contact.solution_for("a derivative")
+        origin = solved.dual.history.origin
+        in_step = moves & solved.obstacle_moves
+        for pair, moved, rows in zip(contact.pairs, in_step, jump.own_rows, strict=True):
+            if moved and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
+                raise InputError(
+                    f"contact pair {pair}: the derivative with respect to the place of an "
+                    "obstacle is not known for a load step in which move_to() moves it."
+                )
     # with a step that changes distances by a given length, differences do not depend on the units
     step = DIFFERENCE * obstacles.extent / float(rates.max())
     sides = []
@@ -154,40 +167,22 @@ def jump_differences(
         with replaced([constant], [values_of(constant) + factor * np.ravel(direction)]):
             displaced = displaced_jump(jump, contact.pairs, contact.state.geometry, moves)
         sides.append(displaced.along_axes(linearised.bounds))
-    _check_same_rows(contact, sides)
-    jumps = [side.of_displacement(linearised.u) for side in sides]
-    return JumpDifferences(sides, jumps, step, origin)
-
-
-def _kept_origin(contact: ContactSystem, moves: Mask) -> Array:
-    """Return the slip origin (size,); it must not depend on obstacles in `moves`. Collective."""
-    # where move_to() has moved an obstacle in this step, the origin depends on its place
-    solved = contact.solution_for("a derivative")
-    origin, in_step = solved.dual.history.origin, moves & solved.obstacle_moves
-    for pair, moving, rows in zip(contact.pairs, in_step, contact.jump.own_rows, strict=True):
-        if moving and contact.comm.allreduce(bool(origin[rows.tangential].any()), op=MPI.LOR):
-            raise InputError(
-                f"contact pair {pair}: the derivative with respect to the place of an "
-                "obstacle is not known for a load step in which move_to() moves it."
-            )
-    return origin
-
-
-def _check_same_rows(contact: ContactSystem, sides: Sequence[JumpOperator]) -> None:
-    """Check that B of displaced obstacles has the present nodes, weights, tangents. Collective."""
-    same = all(
-        np.array_equal(displaced.nodes, pair.nodes)
-        and np.array_equal(displaced.row_node, pair.row_node)
-        and np.allclose(displaced.weights, pair.weights, rtol=1e-9)
-        and (np.abs(displaced.tangents - pair.tangents) <= 0.05).all()  # the same row of T
+    # both sides must have the present nodes, weights and, nearly, tangents: the same rows of B
+    has_same_rows = all(
+        np.array_equal(displaced.nodes, present.nodes)
+        and np.array_equal(displaced.row_node, present.row_node)
+        and np.allclose(displaced.weights, present.weights, rtol=1e-9)
+        and (np.abs(displaced.tangents - present.tangents) <= 0.05).all()
         for side in sides
-        for displaced, pair in zip(side.pairs, contact.jump.pairs, strict=True)
+        for displaced, present in zip(side.pairs, jump.pairs, strict=True)
     )
-    if not contact.comm.allreduce(same, op=MPI.LAND):
+    if not contact.comm.allreduce(has_same_rows, op=MPI.LAND):
         raise InputError(
             "nodes are at the edge of what faces an obstacle, or of its search limit: there is "
             "no derivative with respect to its place. Compare two solutions."
         )
+    jumps = [side.of_displacement(linearised.u) for side in sides]
+    return JumpDifferences(sides, jumps, step, origin)
 
 
 class DataVector(NamedTuple):
@@ -278,19 +273,11 @@ class DataOfSolution:
 
         The direction of a Constant is an array, that of a Function is a Function.
         """
-        contact, prescribed = self.contact, self.contact.linear.prescribed
-        linearised, x = self.linearised, self.linearised.multipliers
-        forces, values = np.zeros((2, len(prescribed)))
+        contact, linearised = self.contact, self.linearised
+        prescribed, x = contact.linear.prescribed, linearised.multipliers
+        forces, values = np.zeros(len(prescribed)), np.zeros(len(prescribed))
         laws = np.zeros(len(x) + len(linearised.face.discs.radius))
         differences: list[JumpDifferences] = []
-
-        def laws_on(side: JumpOperator, jump_of_u: Array, origin: Array) -> Array:
-            """Return (d; s) - B u with u fixed, and the radii, for another B (`side`)."""
-            radius = side.bounded(linearised.bounds).section(x).radius
-            # a change of B u at fixed u has the effect of an opposite change of (d; s)
-            offset = side.gap - jump_of_u + Carry(linearised.dual.jump, side).jumps(origin)
-            return np.append(offset, np.where(np.isfinite(radius), radius, 0.0))
-
         for control, direction in zip(controls, directions, strict=True):
             forces -= self.derivative(self._residual, control, direction)
             values += self._prescribed_by(control, flat(direction))
@@ -304,10 +291,18 @@ class DataOfSolution:
                 continue
             # an obstacle that moves changes B: in the forces B'x, the offsets and the radii
             moved = jump_differences(contact, linearised, control, direction, self._in_all_steps)
-            if moved is not None:
-                differences.append(moved)
-                forces -= moved.rate(lambda side, _: np.array(side.whole_force(x).array))
-                laws += moved.rate(partial(laws_on, origin=moved.origin))
+            if moved is None:
+                continue
+            differences.append(moved)
+            forces -= moved.rate([np.array(side.whole_force(x).array) for side in moved.sides])
+            laws_on_sides = []
+            for side, jump_of_u in zip(moved.sides, moved.jumps, strict=True):
+                radius = side.bounded(linearised.bounds).section(x).radius
+                origin = Carry(linearised.dual.jump, side).jumps(moved.origin)
+                # a change of B u at fixed u has the effect of an opposite change of (d; s)
+                offset = side.gap - jump_of_u + origin
+                laws_on_sides.append(np.append(offset, np.where(np.isfinite(radius), radius, 0.0)))
+            laws += moved.rate(laws_on_sides)
         return DataVector(np.where(prescribed, values, forces), laws, differences)
 
     def pulled_back(self, control: fem.Function, derivatives: DataVector) -> Array:
@@ -342,12 +337,13 @@ class DataOfSolution:
         The result (owned degrees of freedom,) is zero where no condition takes a value from the
         control. DOLFINx does not say where one does: values change there if the control is zero.
         """
-        ends = np.zeros((2, len(self.u.x.array)))
-        for prescribed, given in zip(ends, (values, np.zeros_like(values)), strict=True):
+        with_values = np.zeros(len(self.u.x.array))
+        with_zero = np.zeros_like(with_values)
+        for prescribed, given in ((with_values, values), (with_zero, np.zeros_like(values))):
             with replaced([control], [given]):
                 for bc in self.contact.linear.bcs:
                     bc.set(prescribed)
-        return np.asarray(ends[0] - ends[1])[: owned_size(self.u)]
+        return np.asarray(with_values - with_zero)[: owned_size(self.u)]
 
     def derivative(self, form: Any, control: Control, direction: Any = None) -> Any:
         """Return the derivative of a form by a control, or by u; 0 without dependence. Collective.
@@ -379,23 +375,6 @@ class DataOfSolution:
         vector = fem.assemble_vector(compiled)
         vector.scatter_reverse(dolfinx.la.InsertMode.add)
         return np.asarray(vector.array[: vector.index_map.size_local * vector.block_size])
-
-
-def inputs_of_problem(contact: ContactSystem) -> list[Any]:
-    """Return all Constants and Functions on which solutions depend. Not collective.
-
-    Places of obstacles and directions of friction are excepted. Values of `bcs` may be C++ objects.
-    """
-    inputs: list[Any] = []
-    for form in contact.linear.ufl_forms:
-        if form is not None:
-            inputs += [*form.coefficients(), *form.constants()]
-    for pair in contact.pairs:
-        terms = pair.friction.terms
-        functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
-        inputs += inputs_of((pair.gap, *[getattr(terms, name) for name in TERMS], *functions))
-    inputs += [bc.g for bc in contact.linear.bcs]
-    return list(dict.fromkeys(inputs))
 
 
 def flat(direction: Any) -> Array:

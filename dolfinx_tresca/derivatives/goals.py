@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -85,11 +84,12 @@ def derivatives_of(goal: Goal, jump: JumpOperator, x: Array) -> tuple[Array, Arr
         # powers must not overflow; the derivative does not depend on the magnitude's unit
         magnitude /= largest or 1.0
         weights, m = pair.weights[i], goal.exponent
-        whole = float(reduce_array(jump.comm, weights @ magnitude**m))
+        whole = float(reduce_array(jump.comm, weights @ magnitude**m))  # S
         if whole > 0.0:
             by_pressure = np.sign(pressure) * magnitude ** (m - 1.0) * whole ** (1.0 / m - 1.0)
             by_x[n] = weights * by_pressure
     else:
+        # the share of each node of the pair in the mean
         if isinstance(goal, MeanPressure):
             share = pair.weights * _means_of_bump(goal, jump.system.V, pair)
         else:
@@ -206,6 +206,7 @@ def goal_error(
     z, _ = linearised.adjoint(by_jump, by_x, accuracy=ADJOINT_ACCURACY)
     estimator = dual.compliance.estimator
     error_products = estimator.products(linearised.u, z)
+    # for each cell the root of the product of the errors of u and of z
     cells, errors_of_z = estimator.cell_errors(linearised.u), estimator.cell_errors(z)
     cells.x.array[:] = np.sqrt(cells.x.array * errors_of_z.x.array)
     own_cells = cells.x.array[: len(error_products)]
@@ -269,12 +270,15 @@ def gradient(
     The result has for each control the derivatives with respect to its values (for a Function,
     those that this rank owns), and the derivatives (size,) with respect to the s of this step.
     """
-    linearised, jump, u = data.linearised, data.linearised.dual.jump, data.linearised.u
-    discs, sticks, inner = linearised.face.discs, linearised.face.stick, linearised.dual.inner
+    linearised, u = data.linearised, data.linearised.u
+    jump, inner = linearised.dual.jump, linearised.dual.inner
+    discs, sticks = linearised.face.discs, linearised.face.stick
     by_origin = np.zeros(discs.size) if by_origin is None else by_origin
     by_next_origin = by_origin.copy()  # derivatives by those T u that are the next s
-    by_next_origin[discs.tangential[sticks[discs.node]]] = 0.0
-    by_jump, by_x, by_u = by_next_origin.copy(), np.zeros(discs.size), np.zeros(owned_size(u))
+    row_sticks = sticks[discs.node]
+    by_next_origin[discs.tangential[row_sticks]] = 0.0
+    by_jump = by_next_origin.copy()
+    by_x, by_u = np.zeros(discs.size), np.zeros(owned_size(u))
     for weight, goal in goals:
         if not isinstance(goal, ufl.Form):
             goal_by_jump, goal_by_x = derivatives_of(goal, jump, linearised.multipliers)
@@ -287,11 +291,12 @@ def gradient(
                 "the goal is a form that does not depend on the displacement of its solution: "
                 "write it in terms of solution.u."
             )
-    linear = jump.system
-    z, y = linearised.adjoint(by_jump, by_x, np.where(linear.prescribed, 0.0, by_u))
+    linear, prescribed = jump.system, jump.system.prescribed
+    z, y = linearised.adjoint(by_jump, by_x, np.where(prescribed, 0.0, by_u))
+    # derivatives by the load are z; those by prescribed values are q_u - B'y - K z
     by_u += jump.whole_force(by_jump - y).array
     load = z.x.array[: len(by_u)].copy()
-    load[linear.prescribed] = by_u[linear.prescribed] - linear.reactions_of(z.x.petsc_vec)
+    load[prescribed] = by_u[prescribed] - linear.reactions_of(z.x.petsc_vec)
     by_radius = linearised.face.radial_parts(by_x - jump.of_displacement(z))
     derivatives = DataVector(load, np.append(y, by_radius))
     by_controls = []
@@ -311,7 +316,7 @@ def gradient(
             for weight, goal in goals:
                 values[k] += weight * explicit_rate(data, goal, [control], [direction], change)
             for moved in change.jump_differences:  # T u itself, the next s, changes with B
-                values[k] += float(inner(by_next_origin, moved.rate(lambda _, jumps: jumps)))
+                values[k] += float(inner(by_next_origin, moved.rate(moved.jumps)))
         by_controls.append(values.reshape(control.ufl_shape))
     by_own_origin = np.zeros(discs.size)
     by_own_origin[discs.tangential] = y[discs.tangential]
@@ -333,8 +338,11 @@ def explicit_rate(
     if isinstance(goal, ufl.Form):
         pairs = zip(controls, directions, strict=True)
         return float(sum(data.derivative(goal, *pair) for pair in pairs))
-    value = partial(value_of, goal, data.linearised.multipliers)
-    return float(sum(moved.rate(value) for moved in change.jump_differences))
+    x, rate = data.linearised.multipliers, 0.0
+    for moved in change.jump_differences:
+        sides = zip(moved.sides, moved.jumps, strict=True)
+        rate += moved.rate([value_of(goal, x, side, jump_of_u) for side, jump_of_u in sides])
+    return rate
 
 
 def as_derivatives(
@@ -432,8 +440,8 @@ def tangent_of(
 
     Each node keeps its contact state; see `linearised` for the equations.
     """
-    linearised, dual, jump = data.linearised, data.linearised.dual, data.linearised.dual.jump
-    x, linear = linearised.multipliers, jump.system
+    linearised, dual = data.linearised, data.linearised.dual
+    jump, x, linear = dual.jump, linearised.multipliers, dual.jump.system
     change = data.change(controls, directions)
     offset, radius = np.split(change.laws, [len(x)])
     # prescribed values are eliminated: their change causes the forces -K du_D in other rows
@@ -452,27 +460,24 @@ def tangent_of(
         by_jump, by_x = derivatives_of(goal, jump, x)
         return explicit + float(dual.inner(by_jump, jump_change) + dual.inner(by_x, dx))
 
-    def vectors(side: JumpOperator, stress: Array, slip: Array) -> Array:
-        """Return tangential tractions and slips (2, n, d) at all pairs' nodes, pair by pair."""
-        by_pair = [
-            [rows.nodal_vectors(values)[:, 1:] for values in (stress, slip)]
-            for rows in side.by_pair
-        ]
-        return np.concatenate(by_pair, axis=1)
-
-    changes, r = vectors(jump, stress, slip), linearised.gradient
-    for moved in change.jump_differences:
-        # vectors of the present components turn with the tangents of B
-        changes += moved.rate(lambda B, _: vectors(B, x * B.stress_scale, -r * B.length_scale))
-    by_pair, result = jump.by_pair, []
-    ends = np.cumsum([len(rows.operators.nodes) for rows in by_pair])[:-1]
-    of_pairs = np.split(changes, ends, axis=1)
-    for rows, surface, tangential in zip(by_pair, surfaces, of_pairs, strict=True):
+    r, result = linearised.gradient, []
+    # where a control moves obstacles: for each difference, and each of its sides, the rows by pair
+    displaced = [[side.by_pair for side in moved.sides] for moved in change.jump_differences]
+    for number, (rows, surface) in enumerate(zip(jump.by_pair, surfaces, strict=True)):
         pair = rows.operators
-        pressure, closing = (rows.nodal_vectors(values)[:, 0] for values in (stress, slip))
-        values = {"pressure": pressure, "gap": -closing}
+        stresses, slips = rows.nodal_vectors(stress), rows.nodal_vectors(slip)  # (n, 1 + d)
+        traction_change, slip_change = stresses[:, 1:], slips[:, 1:]
+        for moved, by_side in zip(change.jump_differences, displaced, strict=True):
+            # vectors of the present components turn with the tangents of B
+            tractions, tangential_slips = [], []
+            for side, by_pair in zip(moved.sides, by_side, strict=True):
+                tractions.append(by_pair[number].nodal_vectors(x * side.stress_scale))
+                tangential_slips.append(by_pair[number].nodal_vectors(-r * side.length_scale))
+            traction_change = traction_change + moved.rate(tractions)[:, 1:]
+            slip_change = slip_change + moved.rate(tangential_slips)[:, 1:]
+        values = {"pressure": stresses[:, 0], "gap": -slips[:, 0]}
         if data.comm.allreduce(len(pair.tangent_node) > 0, op=MPI.LOR):
-            values |= dict(zip(("traction", "slip"), tangential, strict=True))
+            values |= {"traction": traction_change, "slip": slip_change}
         fields = {name: surface.function(name, pair.nodes, v) for name, v in values.items()}
         result.append(SurfaceTangent(str(surface.pair), surface.mesh, **fields))
     return ContactTangent(du, tuple(result), change_of)

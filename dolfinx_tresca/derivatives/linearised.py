@@ -28,7 +28,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, NoReturn
 
 from petsc4py import PETSc
 
@@ -166,7 +165,17 @@ class LinearisedContact:
         largest = largest_resultant + (0.0 if transpose else norm(dual, y))
         is_balanced = largest_resultant == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
         if not (is_solved and is_balanced):
-            _raise_unsolved(transpose)
+            if transpose:
+                failure, cause = "the number has no adjoint", "the number depends on"
+                advice = "Ask for another number, or refine for the energy error."
+            else:
+                failure, cause = "the solution has no tangent", "the controls cause"
+                advice = "Take another direction, or the difference of two solutions."
+            raise ConvergenceError(
+                f"{failure}: with the contact state of each node fixed (open, sticking, slipping) "
+                f"nothing, or hardly anything, holds a body against the motion that {cause}. "
+                + advice
+            )
         # the error of v is a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)
         if dual.equilibrium is not None:
@@ -202,9 +211,13 @@ class LinearisedContact:
         # if all nodes slip, the difference may be nothing but the rounding error of its terms
         rounding = RESIDUAL_ROUNDING * norm(dual, root * (np.abs(jump_at_start) + np.abs(offset)))
         accepted = max(max(accuracy, ADJOINT_ACCURACY) * norm(dual, root * residual), rounding)
-        v = np.zeros(0) if dual.compliance.exact else np.array(displacement.v.array)
-        point = _Unknowns(np.zeros_like(residual), np.zeros_like(resultants), v)
-        steps: list[_Unknowns] = []
+        # the unknowns y, c and v in one array, as in each step of them; with a direct solver v is
+        # empty here, since only its values at the start and at the end are needed
+        v = np.zeros(0) if dual.compliance.exact else displacement.v.array
+        point = np.concatenate([np.zeros_like(residual), np.zeros_like(resultants), v])
+        ends = np.cumsum([len(residual), len(resultants)])  # of y and of c in the array
+        y, c, v = np.split(point, ends)
+        steps: list[Array] = []
         images: Array = np.empty((len(residual), 0))
         missing, wanted_length = resultants, 0.0
         for number in range(MOST_STEPS):
@@ -215,13 +228,14 @@ class LinearisedContact:
             # the last step needs no product: it is shorter than the wanted error, or the residual
             # from which it comes is rounding
             if number and (length <= wanted_length or norm(dual, root * residual) <= rounding):
-                return point.y + step_y, point.c + step_c, True
-            product, error, change = displacement.product(point.y, step_y, length)
+                return y + step_y, c + step_c, True
+            product, error, step_v = displacement.product(y, step_y, length)
             store.add(step_y, product, error)
-            step, factor = _Unknowns(step_y, step_c, change), 1.0
+            step = np.concatenate([step_y, step_c, step_v])
             image = maps.test @ (product + curvature * step_y - constraints.columns @ step_c)
             if number == 0:
-                wanted_length, missing = accuracy * length, np.zeros_like(missing)
+                factor, wanted_length = 1.0, accuracy * length
+                missing = np.zeros_like(missing)
             else:
                 norm_before = norm(dual, root * image)
                 overlaps = dual.inner(images, weight * image)
@@ -230,16 +244,19 @@ class LinearisedContact:
                 if new_norm <= RESIDUAL_ROUNDING * norm_before:
                     break  # errors of products, or no solution exists
                 for overlap, earlier in zip(overlaps, steps, strict=True):
-                    step = step.plus(-overlap, earlier)
+                    step = step - overlap * earlier
                 image = 1.0 / new_norm * image
-                step = _Unknowns(*(1.0 / new_norm * values for values in step))
-                images, steps = np.column_stack([images, image]), [*steps, step]
+                step = 1.0 / new_norm * step
+                images = np.column_stack([images, image])
+                steps.append(step)
                 factor = float(dual.inner(image, weight * residual))
-            point, residual = point.plus(factor, step), residual - factor * image
-            displacement.v.array[: len(point.v)] = point.v
+            point = point + factor * step
+            residual = residual - factor * image
+            y, c, v = np.split(point, ends)
+            displacement.v.array[: len(v)] = v
             model = store.model()
             maps = self._maps(model.diagonal, transpose)
-        return point.y, point.c, norm(dual, root * residual) <= accepted
+        return y, c, norm(dual, root * residual) <= accepted
 
     def _maps(self, diagonal: Array, transpose: bool) -> NodalMaps:
         """Return T and the other maps of `NodalMaps`, for `_gcr`. Not collective."""
@@ -251,36 +268,6 @@ class LinearisedContact:
         # P (I + Q') for P the matrix P D + R stays the same, since Q' D y = 0 for y = P y.
         maps = NodalMaps.on_face(face.discs, x, face, diagonal, curvature)
         return replace(maps, test=maps.test @ follow.T, inverse=maps.inverse @ follow.T)
-
-
-def _raise_unsolved(transpose: bool) -> NoReturn:
-    """Raise an error, since the adjoint (`transpose`) or the tangent does not exist."""
-    if transpose:
-        raise ConvergenceError(
-            "the number has no adjoint: with the contact state of each node fixed (open, sticking, "
-            "slipping) nothing, or hardly anything, holds a body against the motion that the "
-            "number depends on. Ask for another number, or refine for the energy error."
-        )
-    raise ConvergenceError(
-        "the solution has no tangent: with the contact state of each node fixed (open, sticking, "
-        "slipping) nothing, or hardly anything, holds a body against the motion that the controls "
-        "cause. Take another direction, or the difference of two solutions."
-    )
-
-
-class _Unknowns(NamedTuple):
-    """Unknowns of GCR: y (size,) and c (k,), with v (owned degrees of freedom,); or a step of them.
-
-    With a direct solver v is empty, since only its values at the start and at the end are needed.
-    """
-
-    y: Array
-    c: Array
-    v: Array
-
-    def plus(self, factor: float, step: _Unknowns) -> _Unknowns:
-        """Return these unknowns plus a multiple of a step."""
-        return _Unknowns(*(mine + factor * its for mine, its in zip(self, step, strict=True)))
 
 
 class _FollowedDisplacement:

@@ -19,11 +19,12 @@ from dolfinx_tresca._base.agreement import collective, comm_of_self
 from dolfinx_tresca._base.arrays import Array, integer, real
 from dolfinx_tresca.contact.contact_system import ContactSystem
 from dolfinx_tresca.contact.step_state import StepSolution
-from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution, inputs_of_problem
+from dolfinx_tresca.derivatives.change_of_data import Control, DataOfSolution
 from dolfinx_tresca.derivatives.goals import WeightedGoals, as_derivatives, gradient
 from dolfinx_tresca.derivatives.linearised import LinearisedContact
 from dolfinx_tresca.dual.load_steps import SlipHistory
-from dolfinx_tresca.dual.nodal_values import replaced, values_of
+from dolfinx_tresca.dual.nodal_values import inputs_of, replaced, values_of
+from dolfinx_tresca.dual.slip_bounds import TERMS
 from dolfinx_tresca.errors import ContactError, InputError, shown
 from dolfinx_tresca.scene.pair import Goal
 from dolfinx_tresca.solvers.feasible_set import CurveAtNodes
@@ -37,7 +38,7 @@ class _Recorded:
     """An accepted load step, as the tape keeps it until gradients are asked for.
 
     Attributes:
-        values: values of all inputs of the problem in this step, see `inputs_of_problem`.
+        values: values of all inputs of the problem in this step, in the order of the tape's.
         curves: each friction curve with the pressures [stress] and slips [length] of its nodes.
         laws: `ContactSystem.law_values` of the step.
     """
@@ -90,7 +91,19 @@ class ProcessTape:
         """
         self._contact, self._solved_for, self._residual_at = contact, solved_for, residual_at
         self.comm = contact.comm
-        self._inputs = inputs_of_problem(contact)
+        # all Constants and Functions on which solutions depend, but for places of obstacles and
+        # directions of friction; values of `bcs` may be C++ objects
+        inputs: list[Any] = []
+        for form in contact.linear.ufl_forms:
+            if form is not None:
+                inputs += [*form.coefficients(), *form.constants()]
+        for pair in contact.pairs:
+            terms = pair.friction.terms
+            bounds = [getattr(terms, name) for name in TERMS]
+            functions = [getattr(terms.curve, name, None) for name in ("function", "derivatives")]
+            inputs += inputs_of((pair.gap, *bounds, *functions))
+        inputs += [bc.g for bc in contact.linear.bcs]
+        self._inputs = list(dict.fromkeys(inputs))
         self._steps: list[_Recorded] = []
         self._history: SlipHistory = contact.state.history  # after the last recorded step
 
@@ -124,11 +137,11 @@ class ProcessTape:
         yield
         self._history = contact.state.history
         # arrays that have not changed since the last step are shared with it
-        before = self._steps[-1].values if self._steps else [None] * len(self._inputs)
-        values = [
-            former if former is not None and np.array_equal(former, present) else present.copy()
-            for former, present in zip(before, map(values_of, self._inputs), strict=True)
-        ]
+        values = [values_of(control).copy() for control in self._inputs]
+        former_values = self._steps[-1].values if self._steps else []
+        for number, former in enumerate(former_values):
+            if np.array_equal(former, values[number]):
+                values[number] = former
         moves = bool(step.obstacle_moves.any())
         self._steps.append(_Recorded(linearised, moves, values, step.curves, step.laws))
 
@@ -157,7 +170,7 @@ class ProcessTape:
             ConvergenceError: with the contact state kept, rigid motions of bodies change a goal.
         """
         by_step = self._derivatives(goals, controls)  # checks the controls first
-        columns = zip([0.0] * len(controls), *by_step, strict=True)
+        columns = zip([0.0] * len(controls), *by_step, strict=True)  # of each control in all steps
         return as_derivatives([sum(column) for column in columns], controls, self.comm)
 
     @collective(comm_of_self)
@@ -188,37 +201,14 @@ class ProcessTape:
         data = DataOfSolution(contact, self._residual_at(u), u, in_all_steps=True)
         goals_of_step = self._checked_goals(goals, data)
         data.check_controls(controls)
-        if any(step.linearised.dual.compliance is not contact.compliance for step in self._steps):
+        steps = self._steps
+        if any(step.linearised.dual.compliance is not contact.compliance for step in steps):
             raise ContactError(
                 "the stiffness or the pairing of the surfaces has changed since load steps were "
                 "recorded: ask for derivatives before update_stiffness(), update_geometry(), and "
                 "before obstacles are moved."
             )
-        self._check_places(controls)
-        # each step hands the derivatives by its slip origin, `by_origin`, to the step before
-        result: list[list[Any]] = [[0.0] * len(controls) for _ in self._steps]
-        by_origin: Array | None = None
-        for number in reversed(range(max(goals_of_step, default=-1) + 1)):
-            step, weighted = self._steps[number], goals_of_step.get(number, [])
-            with replaced(self._inputs, step.values):
-                self._check_laws(step, number)
-                data.linearise(step.linearised)
-                result[number], by_origin = gradient(data, weighted, controls, by_origin)
-        return result
-
-    def _check_laws(self, step: _Recorded, number: int) -> None:
-        """Check that the recorded inputs give the recorded gaps and friction. Collective."""
-        same = all(map(np.array_equal, self._contact.law_values(step.curves), step.laws))
-        if not self.comm.allreduce(same, op=MPI.LAND):
-            raise InputError(
-                f"a gap or a law of friction has other values than in load step {number}: a Python "
-                "function reads something that has changed and was not recorded. Read values that "
-                "change from Constants that are variables of the function itself."
-            )
-
-    def _check_places(self, controls: Sequence[Control]) -> None:
-        """Check that obstacles are where they were, and that controls may move them. Collective."""
-        contact, steps = self._contact, self._steps
+        # obstacles must be where they were, and controls may move them only without earlier slip
         if contact.obstacles.changed(contact.jump).any():
             raise ContactError(
                 "obstacles are elsewhere than in the recorded load steps: ask for derivatives "
@@ -226,14 +216,32 @@ class ProcessTape:
             )
         slips = bool(steps) and bool(steps[0].linearised.dual.history.origin.any())
         obstacle_moves = any(step.obstacle_moves for step in steps)
-        unknown = contact.comm.allreduce(slips or obstacle_moves, op=MPI.LOR)
+        is_unknown = contact.comm.allreduce(slips or obstacle_moves, op=MPI.LOR)
         for control in controls:
-            if unknown and contact.obstacles.rates(control, None, contact.jump).any():
+            if is_unknown and contact.obstacles.rates(control, None, contact.jump).any():
                 raise InputError(
                     f"through a process the derivative with respect to {shown(control)}, on which "
                     "the place of an obstacle depends, is known only if no obstacle moves in it, "
                     "and recording began without slip."
                 )
+        # each step hands the derivatives by its slip origin, `by_origin`, to the step before
+        result: list[list[Any]] = [[0.0] * len(controls) for _ in steps]
+        by_origin: Array | None = None
+        for number in reversed(range(max(goals_of_step, default=-1) + 1)):
+            step, weighted = steps[number], goals_of_step.get(number, [])
+            with replaced(self._inputs, step.values):
+                # the recorded inputs must give the recorded gaps and friction
+                same = all(map(np.array_equal, contact.law_values(step.curves), step.laws))
+                if not self.comm.allreduce(same, op=MPI.LAND):
+                    raise InputError(
+                        f"a gap or a law of friction has other values than in load step {number}: "
+                        "a Python function reads something that has changed and was not recorded. "
+                        "Read values that change from Constants that are variables of the function "
+                        "itself."
+                    )
+                data.linearise(step.linearised)
+                result[number], by_origin = gradient(data, weighted, controls, by_origin)
+        return result
 
     def _checked_goals(self, goals: Any, data: DataOfSolution) -> dict[int, WeightedGoals]:
         """Return number of a step -> pairs (weight, goal), from the user's goals, or raise."""

@@ -5,7 +5,6 @@ Pictures are made of the same grids.
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 import shutil
@@ -50,6 +49,10 @@ _LABELS: WeakKeyDictionary[Any, npt.NDArray[np.int64]] = WeakKeyDictionary()
 #: Names and colours of the states, which ParaView's colour map editor imports: blue for stick,
 #: orange for slip, light colours for open nodes.
 STATE_COLOURS = Path(__file__).with_name("contact_state.json")
+
+_ORDER = f"{sys.byteorder.capitalize()}Endian"
+#: Attributes of VTK's files. Below version 2.2, readers reorder nodes of hexahedra of degree 2.
+_HEADER = {"version": "2.2", "byte_order": _ORDER, "header_type": "UInt64"}
 
 _TYPES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
 
@@ -113,7 +116,14 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     values: dict[str, npt.NDArray[Any]] = {}
     cell_values: dict[str, npt.NDArray[Any]] = {}
     for function in functions:
-        rows, V = _rows(function), function.function_space
+        # the rows of values on this rank: (n,), (n, d) or (n, d, d), with 0 as third components
+        V, shape = function.function_space, function.ufl_shape
+        rows: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
+        if isinstance(function, IntegerFunction):
+            rows = np.rint(rows).astype(np.int32)
+        if shape:
+            missing = [(0, 3 - components) for components in shape]
+            rows = np.pad(rows, [(0, 0), *missing]).reshape(-1, 3 ** len(shape))
         if V.ufl_element().degree == 0:
             cell_values[function.name] = rows[: len(cells)]
         else:  # in the numbering of `space`, which has the same nodes
@@ -124,20 +134,11 @@ def gather_grid(functions: Sequence[fem.Function]) -> Grid | None:
     if gathered is None:
         return None
     # ranks own ascending ranges of global numbers: rows in rank order are in the order of numbers
-    points, cells, cell_types, *whole = map(np.concatenate, zip(*gathered, strict=True))
-    values = dict(zip(values, whole, strict=False))
-    cell_values = dict(zip(cell_values, whole[len(values) :], strict=True))
+    whole = [np.concatenate(arrays) for arrays in zip(*gathered, strict=True)]
+    points, cells, cell_types = whole[:3]
+    values = dict(zip(values, whole[3 : 3 + len(values)], strict=True))
+    cell_values = dict(zip(cell_values, whole[3 + len(values) :], strict=True))
     return Grid(space.mesh.geometry.dim, points, cells, cell_types, values, cell_values)
-
-
-def _rows(function: fem.Function) -> npt.NDArray[Any]:
-    """Return a Function's values on this rank as for `Grid`, with 0 as third components of 2D."""
-    shape = function.ufl_shape
-    values: npt.NDArray[Any] = np.asarray(function.x.array).reshape(-1, *shape)
-    if isinstance(function, IntegerFunction):
-        values = np.rint(values).astype(np.int32)
-    values = np.pad(values, [(0, 0), *((0, 3 - components) for components in shape)])
-    return np.asarray(values.reshape(-1, 3 ** len(shape)) if shape else values)
 
 
 def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
@@ -155,12 +156,23 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
     mesh, V = u.function_space.mesh, u.function_space
     if mesh not in _LABELS:
         _LABELS[mesh] = 1 + label_bodies(V)[V.dofmap.list[:, 0]]  # counted from 1 as in messages
-    volume = [u, _of_cells(mesh, "body", slice(None), _LABELS[mesh])]
+    bodies = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name="body")
+    bodies.x.array[:] = _LABELS[mesh]
+    volume = [u, bodies]
     if solution.cell_errors is not None:
         volume.append(solution.cell_errors)
     for field in fields:
         volume.append(_checked(field, u, [function.name for function in volume]))
-    blocks = [("volume", _in_one_degree(volume))]
+    # nodal fields of a grid have one degree, the highest of them and of the mesh
+    degrees = [function.function_space.ufl_element().degree for function in volume]
+    degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
+    for number, function in enumerate(volume):
+        if degrees[number] not in (0, degree):
+            W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
+            volume[number] = fem.Function(W, name=function.name)
+            volume[number].interpolate(function)
+            volume[number].x.scatter_forward()
+    blocks = [("volume", volume)]
     names = ["contact"] if len(surfaces) == 1 else [surface.name for surface in surfaces]
     blocks += [(name, [*surface.functions]) for name, surface in zip(names, surfaces, strict=True)]
     grids: dict[str, Grid] = {}
@@ -173,13 +185,6 @@ def grids_of(solution: Evaluation, fields: Sequence[Field]) -> dict[str, Grid]:
             word += f"_{number}"
         grids[word] = grid
     return grids
-
-
-def _of_cells(mesh: Any, name: str, cells: Any, values: npt.NDArray[Any]) -> IntegerFunction:
-    """Return a Function of degree 0 with integer values (n,) in cells (n,), else 0. Collective."""
-    function = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name=name)
-    function.x.array[cells] = values
-    return function
 
 
 def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Function:
@@ -198,37 +203,22 @@ def _checked(field: Field, u: fem.Function, taken: Sequence[str]) -> fem.Functio
     if isinstance(field, MeshTags):
         if field.dim != mesh.topology.dim or not same_topology(field, mesh):
             raise InputError(f"'{field.name}' are no tags of the cells of this mesh.")
-        return _of_cells(mesh, field.name, field.indices, field.values)
+        function = IntegerFunction(fem.functionspace(mesh, ("DG", 0)), name=field.name)
+        function.x.array[field.indices] = field.values
+        return function
     V = field.function_space
     if not same_topology(V.mesh, mesh):
         raise InputError(f"'{field.name}' lives on another mesh than the displacement.")
     element = V.ufl_element()
-    lagrange = element.family_name == "P" and (element.degree == 0 or not element.discontinuous)
-    real = field.x.array.dtype.kind == "f"
-    if not (real and lagrange and V.dofmap.bs == math.prod(field.ufl_shape)):
+    is_lagrange = element.family_name == "P" and (element.degree == 0 or not element.discontinuous)
+    is_real = field.x.array.dtype.kind == "f"
+    is_blocked = V.dofmap.bs == math.prod(field.ufl_shape)  # the components have the same nodes
+    if not (is_real and is_lagrange and is_blocked):
         raise InputError(
             f"'{field.name}' must be a real Lagrange Function or one of degree 0 ('DG', 0), found "
             f"{element} of {field.x.array.dtype}: interpolate it."
         )
     return field
-
-
-def _in_one_degree(functions: Sequence[fem.Function]) -> list[fem.Function]:
-    """Interpolate Functions to the highest degree of them and of the mesh, for a grid. Collective.
-
-    Functions of degree 0 stay as they are.
-    """
-    mesh = functions[0].function_space.mesh
-    degrees = [function.function_space.ufl_element().degree for function in functions]
-    degree = max(*degrees, int(mesh.ufl_domain().ufl_coordinate_element().degree))
-    results = [*functions]
-    for number, function in enumerate(functions):
-        if degrees[number] not in (0, degree):
-            W = fem.functionspace(mesh, ("Lagrange", degree, function.ufl_shape))
-            results[number] = fem.Function(W, name=function.name)
-            results[number].interpolate(function)
-            results[number].x.scatter_forward()
-    return results
 
 
 class SolutionWriter:
@@ -296,15 +286,23 @@ class SolutionWriter:
         Until it replaces the old `.pvd`, all files of older steps are as they were. After the first
         step, remove the files of steps that it does not list: of an older series or a killed run.
         """
+        series: list[dict[str, str]] = []
         if self._series is not None:
             series = list(self._series)
         elif self._append and self._path.exists():
-            series = self._earlier_steps(time)
-        else:
-            series = []
+            # the steps of the existing series before this time
+            try:
+                entries = [item.attrib for item in ET.parse(self._path).iter("DataSet")]
+                series = [entry for entry in entries if float(entry["timestep"]) < time]
+            except (ET.ParseError, KeyError, ValueError) as error:
+                raise InputError(
+                    f"cannot add to '{self._path}', which is no series: {error!r}."
+                ) from error
         series_folder = self._path.with_suffix("")
-        folders = (series_folder / f"{i:04}" for i in itertools.count())
-        folder = next(folder for folder in folders if not folder.exists())
+        step_number = 0
+        while (series_folder / f"{step_number:04}").exists():
+            step_number += 1
+        folder = series_folder / f"{step_number:04}"
         folder.mkdir(parents=True)
         try:
             for number, (name, grid) in enumerate(grids.items()):
@@ -313,7 +311,7 @@ class SolutionWriter:
                 entry = {"timestep": repr(time), "part": str(number), "name": name, "file": file}
                 series.append(entry)
             shutil.copyfile(STATE_COLOURS, series_folder / "state.json")
-            root = _root("Collection")
+            root = ET.Element("VTKFile", {"type": "Collection", **_HEADER})
             collection = ET.SubElement(root, "Collection")
             for entry in series:
                 ET.SubElement(collection, "DataSet", entry)
@@ -330,16 +328,6 @@ class SolutionWriter:
                     _remove_grids(step)
         self._series = series
 
-    def _earlier_steps(self, time: float) -> list[dict[str, str]]:
-        """Return the entries of the existing `.pvd` before a time, for an appending writer."""
-        try:
-            entries = [item.attrib for item in ET.parse(self._path).iter("DataSet")]
-            return [entry for entry in entries if float(entry["timestep"]) < time]
-        except (ET.ParseError, KeyError, ValueError) as error:
-            raise InputError(
-                f"cannot add to '{self._path}', which is no series: {error!r}."
-            ) from error
-
 
 def _remove_grids(folder: Path) -> None:
     """Remove the files of a step, and its folder if it is empty then."""
@@ -351,7 +339,7 @@ def _remove_grids(folder: Path) -> None:
 
 def write_vtu(path: Path, grid: Grid) -> None:
     """Write a grid as a `.vtu`: XML, whose arrays are compressed and in base 64."""
-    root = _root("UnstructuredGrid")
+    root = ET.Element("VTKFile", {"type": "UnstructuredGrid", **_HEADER})
     root.set("compressor", "vtkZLibDataCompressor")
     whole = ET.SubElement(root, "UnstructuredGrid")
     counts = {"NumberOfPoints": str(len(grid.points)), "NumberOfCells": str(len(grid.cells))}
@@ -382,10 +370,3 @@ def write_vtu(path: Path, grid: Grid) -> None:
     active = next(iter(grid.values))
     piece[0].attrib.update(Scalars=active, Vectors=active)
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
-
-
-def _root(kind: str) -> ET.Element:
-    # in files of a version below 2.2, readers reorder the nodes of hexahedra of degree 2
-    order = f"{sys.byteorder.capitalize()}Endian"
-    header = {"version": "2.2", "byte_order": order, "header_type": "UInt64"}
-    return ET.Element("VTKFile", {"type": kind, **header})

@@ -77,6 +77,7 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     if grid is None:
         return None
     values, facets, slip_name = grid.values, grid.cells[:, 1:], "slip"
+    # masks of nodes, then of facets whose nodes with multipliers all touch
     carries = values["state"] > ContactState.OUTSIDE
     touches = values["state"] >= ContactState.PRESSED
     closed = (~carries | touches)[facets].all(axis=1) & carries[facets].any(axis=1)
@@ -92,21 +93,15 @@ def gather_contact(surface: SurfaceFields, label: str = "") -> Contact | None:
     return Contact(grid, title, label, slip_name, surface.obstacle)
 
 
-def size_of(panel: Any) -> tuple[float, float]:
-    """Return width and height of a panel [inches]."""
-    width, height = panel.bbox.size / panel.dpi
-    return float(width), float(height)
-
-
 def axes_at(panel: Any, left: float, bottom: float, width: float, height: float) -> Any:
     """Add axes that fill a rectangle of a panel [inches], for a chart, view or bar; return them."""
-    wide, high = size_of(panel)
+    wide, high = panel.bbox.size / panel.dpi  # inches
     return panel.add_axes((left / wide, bottom / high, width / wide, height / high))
 
 
 def write_header(panel: Any, title: str, legend: Sequence[Any]) -> None:
     """Write a title and below it the legend, at the top of a panel."""
-    width, height = size_of(panel)
+    width, height = panel.bbox.size / panel.dpi  # inches
     panel.text(LEFT / width, 1.0 - 0.3 / height, title, fontsize=11.0)
     panel.legend(
         handles=legend, ncols=max(len(legend), 1), loc="upper left", labelcolor="#404040",
@@ -134,8 +129,8 @@ def colour_range(values: Array, *, clip: bool = False) -> tuple[float, float, fl
     if 0.0 < 2.5 * usual < largest:  # without a cut, 85 % of the values would look the same
         step = 0.5 * 10.0 ** math.floor(math.log10(usual))
         return 0.0, step * math.ceil(usual / step - 1e-9), largest
-    far = 0.5 * largest < least < (1.0 - 1e-6) * largest
-    return least if far else 0.0, largest or 1.0, largest
+    is_far_from_zero = 0.5 * largest < least < (1.0 - 1e-6) * largest
+    return least if is_far_from_zero else 0.0, largest or 1.0, largest
 
 
 def draw_bar(panel: Any, name: str, unit_name: str, cmap: str, limits: Sequence[float]) -> None:
@@ -144,7 +139,7 @@ def draw_bar(panel: Any, name: str, unit_name: str, cmap: str, limits: Sequence[
     from matplotlib.colors import Normalize
 
     low, high, largest = limits
-    width, _ = size_of(panel)
+    width, _ = panel.bbox.size / panel.dpi  # inches
     axes = axes_at(panel, 0.27 * width, 0.42, 0.58 * width, 0.12)
     label, extend = labelled(name, unit_name), "neither"
     if largest > high:
@@ -178,7 +173,8 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
     # each piece starts at its first node in this order: the ends of open pieces, then the others
     order = np.lexsort((y, x, count != 1))
     _, piece_of = connected_components(neighbours, directed=False)
-    starts = order[np.unique(piece_of[order], return_index=True)[1]]
+    _, first_of_piece = np.unique(piece_of[order], return_index=True)
+    starts = order[first_of_piece]
     start_of_arc, curves = 0.0, []
     for start in starts[np.lexsort((y[starts], x[starts]))]:
         nodes = depth_first_order(neighbours, start, directed=False, return_predecessors=False)
@@ -186,15 +182,17 @@ def unrolled(grid: Grid) -> list[tuple[npt.NDArray[np.int32], Array, Array]]:
         if closed:
             nodes = np.append(nodes, start)
             a, b = points[nodes[:-1], :2].T, points[nodes[1:], :2].T
-            # counterclockwise, with a positive area
-            nodes = nodes if np.sum(a[0] * b[1] - b[0] * a[1]) > 0.0 else nodes[::-1]
+            twice_area = np.sum(a[0] * b[1] - b[0] * a[1])
+            if not twice_area > 0.0:  # clockwise
+                nodes = nodes[::-1]
         positions = points[nodes]
         directions = np.gradient(positions, axis=0)
         if closed:  # both neighbours of the node count
             directions[[0, -1]] = positions[1] - positions[-2]
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        curves.append((nodes, start_of_arc + np.append(0.0, np.cumsum(steps)), unit(directions)))
-        start_of_arc = 1.04 * curves[-1][1][-1]
+        arc_lengths = start_of_arc + np.append(0.0, np.cumsum(steps))
+        curves.append((nodes, arc_lengths, unit(directions)))
+        start_of_arc = 1.04 * arc_lengths[-1]
     return curves
 
 
@@ -212,7 +210,7 @@ def draw_curve(panel: Any, contact: Contact, length: str, stress: str) -> None:
         title += "" if contact.label else ": traction and slip positive along it"
     if values["sticks"].any():
         legend.append(handle("sticks", "black", "o"))
-    width, height = size_of(panel)
+    width, height = panel.bbox.size / panel.dpi  # inches
     margins = {"left": 0.65 / width, "right": 1.0 - 0.25 / width, "hspace": 0.14}
     margins |= {"bottom": 0.5 / height, "top": 1.0 - (HEADER + 0.05) / height}
     rows = {"height_ratios": (0.64, 0.36)[: len(charts)], "gridspec_kw": margins}
@@ -252,12 +250,12 @@ def view_in(panel: Any, normal: Array, up: Array) -> Iterator[Any]:
     theme.allow_empty_mesh, theme.show_scalar_bar = True, False
     with closing(pyvista.Plotter(off_screen=True, theme=theme)) as plotter:
         yield plotter
-        # the scale, half the height of the view, at which all points are in it, with a margin
+        # half the height of a view that has all points in it, with a margin
         right = np.cross(up, normal)
         directions = unit(np.array([right, np.cross(normal, right)]))
         points = np.concatenate([mesh.points for mesh in plotter.meshes])
         sideways, upward = np.abs((points - plotter.center) @ directions.T).max(axis=0)
-        width, height = size_of(panel)
+        width, height = panel.bbox.size / panel.dpi  # inches
         height -= HEADER + FOOTER
         plotter.enable_parallel_projection()
         plotter.view_vector(normal, viewup=up)
@@ -316,7 +314,8 @@ def draw_bodies(
     outline = surface.extract_feature_edges(40.0, **kinds)
     near = np.concatenate([bodies.points, faces.points])
     # an obstacle of several pairs is drawn once
-    obstacles = {(o.signed_distance, o.motion): o for c in contacts if (o := c.obstacle)}
+    of_pairs = [contact.obstacle for contact in contacts if contact.obstacle]
+    obstacles = {(obstacle.signed_distance, obstacle.motion): obstacle for obstacle in of_pairs}
     legend = [handle("undeformed", OUTLINE, linewidth=1.2)] if outline.n_points else []
     with view_in(panel, normal, up) as plotter:
         light = {"lighting": not flat, "ambient": 0.35, "diffuse": 0.7}
@@ -328,8 +327,21 @@ def draw_bodies(
         if any(drawn):
             legend.append(handle("obstacle", OBSTACLE_COLOUR, "s", markersize=8.0))
         if flat and contacts:
+            dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
+            box = {"shape_color": CURVE_COLOUR, "shape_opacity": 1.0, "always_visible": True}
+            text = {"text_color": "white", "font_size": 24, "bold": False, "show_points": False}
             for contact in contacts:
-                draw_line(plotter, contact, scale, 2.0 * lift)
+                # the contact curve on the deformed bodies, thick where pressed, and its start
+                curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale)
+                curve = curve.translate(2.0 * lift)
+                pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
+                plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
+                plotter.add_mesh(pressed, color=CURVE_COLOUR, line_width=5.6, lighting=False)
+                nodes, _, _ = unrolled(contact.grid)[0]
+                start = curve.points[nodes[:1]]
+                plotter.add_points(start, color=OPEN_LINE, **dot)
+                if contact.label:
+                    plotter.add_point_labels(start, [contact.label], **text, **box)
             legend.append(handle("contact", CURVE_COLOUR, linewidth=2.8))
             legend.append(handle("open", OPEN_LINE, linewidth=0.8))
             legend.append(handle("start", OPEN_LINE, "o"))
@@ -346,18 +358,21 @@ def magnification(volume: Grid, contacts: Sequence[Contact]) -> float:
     of open surfaces, below `INVISIBLE`; it is 1 if the displacement would then be invisible.
     """
     length = float(np.linalg.norm(np.ptp(volume.points, axis=0)))
-    largest = float(np.linalg.norm(next(iter(volume.values.values())), axis=1).max(initial=0.0))
+    displacement = next(iter(volume.values.values()))
+    largest = float(np.linalg.norm(displacement, axis=1).max(initial=0.0))
     if largest <= np.finfo(float).tiny * length:  # nothing moves
         return 1.0
     scale = VISIBLE * length / largest
     for contact in contacts:
         values = contact.grid.values
-        gap = np.where(values["pressed"] > 0.0, 0.0, values["gap"])
+        pressed = values["pressed"] > 0.0
+        gap = np.where(pressed, 0.0, values["gap"])
         closing = values["initial_gap"] - gap
-        closing = np.where(values["pressed"] > 0.0, np.abs(closing), closing)
+        closing = np.where(pressed, np.abs(closing), closing)
         # gap - (scale - 1) closing >= -INVISIBLE length, where the gap of pressed nodes is zero
         limits = INVISIBLE * length + np.maximum(gap, 0.0)
-        added = limits[closing > 0.0] / closing[closing > 0.0]
+        closes = closing > 0.0
+        added = limits[closes] / closing[closes]
         scale = min(scale, 1.0 + float(added.min(initial=math.inf)))
     if scale < max(1.0, 2.0 * INVISIBLE * length / largest):  # hardly visible
         return 1.0
@@ -402,21 +417,6 @@ def draw_obstacle(plotter: Any, obstacle: RigidObstacle, points: Array, flat: bo
     return True
 
 
-def draw_line(plotter: Any, contact: Contact, scale: float, lift: Array) -> None:
-    """Draw a contact curve on the deformed bodies, thick and red where pressed, and its start."""
-    curve = contact.grid.to_pyvista().warp_by_vector("displacement", factor=scale).translate(lift)
-    pressed = curve.clip_scalar(scalars="pressed", value=0.5, invert=False)
-    plotter.add_mesh(curve, color=OPEN_LINE, line_width=1.6, lighting=False)
-    plotter.add_mesh(pressed, color=CURVE_COLOUR, line_width=5.6, lighting=False)
-    start = curve.points[unrolled(contact.grid)[0][0][:1]]
-    dot = {"point_size": 14.0, "render_points_as_spheres": True, "lighting": False}
-    plotter.add_points(start, color=OPEN_LINE, **dot)
-    if contact.label:
-        box = {"shape_color": CURVE_COLOUR, "shape_opacity": 1.0, "always_visible": True}
-        text = {"text_color": "white", "font_size": 24, "bold": False, "show_points": False}
-        plotter.add_point_labels(start, [contact.label], **text, **box)
-
-
 def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None:
     """Draw a contact surface: pressures as colours, slips as arrows, sticking nodes as discs.
 
@@ -425,15 +425,18 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
     """
     import pyvista
 
-    surface = with_normals(contact.grid.to_pyvista())
+    one_side = {"consistent_normals": True, "split_vertices": False}  # for all normals
+    surface = skin(contact.grid.to_pyvista()).compute_normals(**one_side)
     contact_normals = surface.point_data_to_cell_data()["normal"]
     # less than this cosine is at the side of a body; edges of rounded surfaces have more
     facing = np.abs(np.sum(contact_normals * surface.cell_data["Normals"], axis=1)) > 0.15
-    surface = with_normals(surface.extract_cells(facing))
+    surface = skin(surface.extract_cells(facing)).compute_normals(**one_side)
     normal, up = direction(surface)
     lift = 0.01 * surface.length * normal  # so that marks do not sink into the surface
     values, pressed = surface.point_data, surface.point_data["pressed"] > 0.0
-    shown = np.append(values["pressure"][pressed], [] if pressed.all() else [0.0])
+    shown = values["pressure"][pressed]
+    if not pressed.all():
+        shown = np.append(shown, 0.0)
     limits = colour_range(shown, clip=True)
     light: dict[str, Any] = {"smooth_shading": True, "ambient": 0.65, "diffuse": 0.4}
     if np.abs(surface.cell_data["Normals"] @ normal).min() > 0.98:  # flat: colours as in the bar
@@ -473,11 +476,6 @@ def draw_surface(panel: Any, contact: Contact, length: str, stress: str) -> None
     write_header(panel, f"Contact surface{contact.title}", legend)
 
 
-def with_normals(grid: Any) -> Any:
-    """Return the surface of a grid with normals of its cells and points, all on one side of it."""
-    return skin(grid).compute_normals(consistent_normals=True, split_vertices=False)
-
-
 def direction(surface: Any) -> tuple[Array, Array]:
     """Return the direction to the viewer, along a surface's mean normal, and the upward direction.
 
@@ -493,5 +491,5 @@ def direction(surface: Any) -> tuple[Array, Array]:
     up = ALONG_Z if abs(normal[2]) < 0.9 else ALONG_Y
     right = np.cross(up, normal)
     up = up - (up @ normal) * normal
-    higher = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ right)
-    return normal, -right if higher else up
+    is_high = np.ptp(surface.points @ up) > 1.5 * np.ptp(surface.points @ right)
+    return normal, -right if is_high else up

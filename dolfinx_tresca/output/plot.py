@@ -147,33 +147,29 @@ def display_for_pictures() -> Iterator[None]:
 
     with ExitStack() as stack:
         linux = sys.platform.startswith("linux")
-        if linux and not os.environ.get("DISPLAY") and WINDOW not in os.environ:
-            if find_library("EGL") is not None and tuple(pyvista.vtk_version_info) >= (9, 5):
-                variable, value = WINDOW, "vtkEGLRenderWindow"
-            else:
-                variable, value = "DISPLAY", x_server(stack)
-            os.environ[variable] = value
-            stack.callback(os.environ.pop, variable)
+        if not linux or os.environ.get("DISPLAY") or WINDOW in os.environ:
+            pass  # there is a display, or VTK needs none
+        elif find_library("EGL") is not None and tuple(pyvista.vtk_version_info) >= (9, 5):
+            os.environ[WINDOW] = "vtkEGLRenderWindow"
+            stack.callback(os.environ.pop, WINDOW)
+        else:
+            program = shutil.which("Xvfb")
+            if program is None:
+                raise ContactError(
+                    "there is no display for the picture, and VTK needs one: install libegl1 (apt "
+                    "install libegl1) with VTK 9.5 or later, else xvfb (apt install xvfb), or run "
+                    "where DISPLAY is set."
+                )
+            # Without -noreset the server restarts whenever its last client leaves, as after each
+            # view of a picture, and meanwhile it refuses clients or disconnects them.
+            options = ["-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
+            command = [program, "-displayfd", "1", *options]
+            server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+            stack.enter_context(server)
+            stack.callback(server.terminate)
+            number = server.stdout.readline().decode().strip() if server.stdout else ""
+            if not number:
+                raise ContactError("Xvfb, the display for the picture, did not start.")
+            os.environ["DISPLAY"] = f":{number}"
+            stack.callback(os.environ.pop, "DISPLAY")
         yield
-
-
-def x_server(stack: ExitStack) -> str:
-    """Run the X server Xvfb until `stack` is closed, and return its DISPLAY, for VTK."""
-    program = shutil.which("Xvfb")
-    if program is None:
-        raise ContactError(
-            "there is no display for the picture, and VTK needs one: install libegl1 (apt install "
-            "libegl1) with VTK 9.5 or later, else xvfb (apt install xvfb), or run where DISPLAY "
-            "is set."
-        )
-    # Without -noreset the server restarts whenever its last client leaves, as after each view of a
-    # picture, and meanwhile it refuses clients or disconnects them.
-    options = ["-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
-    command = [program, "-displayfd", "1", *options]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    stack.enter_context(server)
-    stack.callback(server.terminate)
-    number = server.stdout.readline().decode().strip() if server.stdout else ""
-    if not number:
-        raise ContactError("Xvfb, the display for the picture, did not start.")
-    return f":{number}"

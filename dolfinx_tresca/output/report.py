@@ -26,7 +26,7 @@ from dolfinx_tresca._base.parallel import RECENT_WARNINGS, UNBROKEN, reduce_arra
 from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.scene.friction import Friction
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.evaluation import Evaluation, PairState
+from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solution.forces import BoltForce
 from dolfinx_tresca.stiffness.choice import BLAS, loaded_libraries, reference_blas
 from dolfinx_tresca.stiffness.system import LinearSystem
@@ -90,13 +90,14 @@ class ProblemSummary:
             distance, rounding = rows.operators.gap, 1e-12 * rows.operators.sizes
             distance = np.where(np.abs(distance) > rounding, distance, 0.0)
             extremes = distance.min(initial=np.inf), (-distance).min(initial=np.inf)
-            least, negated = reduce_array(comm, extremes, MPI.MIN)
-            gap = f"gap {least:.3g}" + f" to {-negated:.3g}" * bool(least != -negated)
+            least, negated_largest = reduce_array(comm, extremes, MPI.MIN)
+            end = f" to {-negated_largest:.3g}" if least != -negated_largest else ""
+            gap = f"gap {least:.3g}{end}" if nodes else ""
             counted = f"{nodes} nodes" if nodes else "no node is paired"
-            texts.append((f"{pair}, {kind}: {counted}", gap * (nodes > 0), pair.friction))
+            texts.append((f"{pair}, {kind}: {counted}", gap, pair.friction))
         dofs = system.V.dofmap.index_map_bs * system.V.dofmap.index_map.size_global
 
-        cell_kind = mesh.topology.cell_name() + ", axisymmetric" * system.axisymmetric
+        cell_kind = mesh.topology.cell_name() + (", axisymmetric" if system.axisymmetric else "")
         count = system.negative_pivots  # the unknowns that are no displacements, as pressures
         beside = f", beside {count} unknowns of other kinds" if count else ""
         size_rows = (
@@ -108,37 +109,33 @@ class ProblemSummary:
 
     def rows(self, units: Units | None) -> list[Row]:
         """Return the rows of the printed table: the sizes, then rows of the first pairs."""
-        pair_rows = [
-            ("  pair", f"{pair}, " + f"{with_unit(gap, units, 'length')}, " * bool(gap) + f"{law}")
-            for pair, gap, law in self.pairs
-        ]
+        pair_rows = []
+        for pair, gap, law in self.pairs:
+            gap_text = f"{with_unit(gap, units, 'length')}, " if gap else ""
+            pair_rows.append(("  pair", f"{pair}, {gap_text}{law}"))
         return [*self.size_rows, *abridged(pair_rows, "pairs")]
 
 
 def figures(values: npt.ArrayLike, error: float) -> str:
     """Return the text of a number or vector with as many digits, 1 to 8, as its `error` allows."""
     digits = int(np.clip(np.ceil(-np.log10(max(error, 1e-9))), 1, 8))
-    largest = float(np.abs(values).max())
-    decimals = digits - 1 - int(np.floor(np.log10(largest))) if 0.0 < largest < np.inf else 0
+    largest, decimals = float(np.abs(values).max()), 0
+    if 0.0 < largest < np.inf:
+        decimals = digits - 1 - int(np.floor(np.log10(largest)))
     # + 0.0: components that are rounded to zero have no sign
-    texts = [f"{round(float(x), decimals) + 0.0:.{digits}g}" for x in np.atleast_1d(values)]
-    components = f",{UNBROKEN}".join(texts)
+    rounded = [round(float(component), decimals) + 0.0 for component in np.atleast_1d(values)]
+    components = f",{UNBROKEN}".join(f"{component:.{digits}g}" for component in rounded)
     return f"({components})" if np.ndim(values) else components
-
-
-def _may_be_zero(results: Evaluation) -> bool:
-    """Return whether no node is pressed or bonded, and the error as large as the displacement."""
-    counts = results.counts
-    return counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
 
 
 def error_rows(results: Evaluation) -> list[Row]:
     """Return the rows with the errors of the iteration, of slip bounds and of the mesh."""
+    touching = results.counts.contact + results.counts.bonded
     kind = "at most" if results.bound_is_rigorous else "about"
     bound = f"{kind} {results.energy_error_bound:.1e} of the solution's norm"
     if results.energy_error_bound == 0.0:
         bound = "zero to rounding"
-    elif _may_be_zero(results):
+    elif touching == 0 and results.energy_error_bound >= 1.0:
         return [("energy error", "as large as the solution, which may be zero")]
     elif np.isinf(results.energy_error_bound):
         bound = "not bounded, since constraints are dependent: more than nodes have free directions"
@@ -157,31 +154,34 @@ def contact_rows(
 
     Values have the digits that `results.local_error` justifies, energies enough to differ.
     """
-    counts, dim = results.counts, results.u.function_space.mesh.geometry.dim
-    dim = 3 if results.axisymmetric else dim  # forces on whole rings
-    scale = 0.0 if _may_be_zero(results) else 1.0  # values that may be rounding are shown as zero
+    counts, mesh = results.counts, results.u.function_space.mesh
+    dim = 3 if results.axisymmetric else mesh.geometry.dim  # 3: forces on whole rings
+    # where nothing touches, and the error is as large as the solution, this may be zero: values
+    # that may be rounding are shown as zero
+    may_be_zero = counts.contact + counts.bonded == 0 and results.energy_error_bound >= 1.0
+    scale = 0.0 if may_be_zero else 1.0
     has_friction = any(surface.traction is not None for surface in results.surfaces)
     has_history = any(surface.slip_increment is not surface.slip for surface in results.surfaces)
-
-    def nodes(count: int, stick: int, idle: int = 0) -> str:
-        states = f": {stick} stick, {count - stick - idle} slip"
-        return f"{count}" + (states if has_friction and count > idle else "")
 
     def text(value: npt.ArrayLike, quantity: Quantity, error: float = results.local_error) -> str:
         return with_unit(figures(value, error), units, quantity, dim).replace(" ", UNBROKEN)
 
-    def opening_of(pair: PairState) -> str:
+    # for each pair a text if it opens
+    states, openings = results.pair_states, []
+    for pair in states:
         is_open = pair.pressed < pair.nodes and scale * pair.opening > 0.0
-        return f", opens by up to {text(pair.opening, 'length')}" if is_open else ""
-
-    states = results.pair_states
-    opening = opening_of(states[0]) if len(states) == 1 else ""
+        openings.append(f", opens by up to {text(pair.opening, 'length')}" if is_open else "")
     open_nodes = counts.nodes - counts.contact - counts.bonded
-    rows = [
-        ("contact nodes", f"{counts.nodes}"),
-        ("  pressed", nodes(counts.contact, counts.contact_stick)),
-        ("  open", nodes(open_nodes, counts.stick - counts.contact_stick, counts.idle) + opening),
-    ]
+    pressed, opened = f"{counts.contact}", f"{open_nodes}"
+    if has_friction and counts.contact > 0:
+        stick = counts.contact_stick
+        pressed += f": {stick} stick, {counts.contact - stick} slip"
+    if has_friction and open_nodes > counts.idle:
+        stick = counts.stick - counts.contact_stick
+        opened += f": {stick} stick, {open_nodes - stick - counts.idle} slip"
+    if len(states) == 1:
+        opened += openings[0]
+    rows = [("contact nodes", f"{counts.nodes}"), ("  pressed", pressed), ("  open", opened)]
     if counts.bonded:
         rows.append(("  bonded", f"{counts.bonded}"))
     if counts.undecided:
@@ -190,20 +190,24 @@ def contact_rows(
     rows.append(("peak pressure", text(scale * results.peak_pressure, "stress")))
     if has_friction:
         slip = text(results.greatest_slip, "length")
-        path = f" in this step, {text(results.greatest_total_slip, 'length')} along its path"
-        rows.append(("greatest slip", slip + (path if has_history else "")))
+        if has_history:
+            path = text(results.greatest_total_slip, "length")
+            slip += f" in this step, {path} along its path"
+        rows.append(("greatest slip", slip))
     if has_history:
-        step, total = (text(x, "energy") for x in (results.dissipation, results.total_dissipation))
+        step = text(results.dissipation, "energy")
+        total = text(results.total_dissipation, "energy")
         rows.append(("dissipation", f"{step} in this step, {total} so far"))
-    forces = [text(scale * r.force, "force") for r in results.pair_resultants]
+    forces = [text(scale * resultant.force, "force") for resultant in results.pair_resultants]
     normal = f"{text(scale * results.normal_force, 'force')} normal"
     if len(forces) == 1:
         rows.append(("force", f"{normal}, {forces[0]} on the secondary side"))
     else:
         rows.append(("force", f"{normal}; on the secondary side of each pair:"))
         pair_rows = []
-        for surface, force, pair in zip(results.surfaces, forces, states, strict=True):
-            state = f"{pair.pressed} of {pair.nodes} pressed{opening_of(pair)}"
+        by_pair = zip(results.surfaces, forces, states, openings, strict=True)
+        for surface, force, pair, opening in by_pair:
+            state = f"{pair.pressed} of {pair.nodes} pressed{opening}"
             pair_rows.append(("", f"{surface.name}: {force}, {state}"))
         rows += abridged(pair_rows, "pairs")
     if len(results.between_bodies) > 1:
@@ -236,14 +240,26 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
 
     The page includes a picture, a `PIL` image, and the text of the script that is running.
     """
-    image, script = io.BytesIO(), Path(getattr(sys.modules["__main__"], "__file__", ""))
+    script = Path(getattr(sys.modules["__main__"], "__file__", ""))
+    image = io.BytesIO()
     picture.save(image, format="PNG")
     encoded = base64.b64encode(image.getvalue()).decode()
+    # a row for each load step, with the bolts and supports of the last step
+    bolts, supports = list(solution.bolts), list(solution.reactions)
+    table = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
+    for number, step in enumerate([*steps, solution], start=1):
+        values = step.normal_force, step.peak_pressure, step.total_dissipation
+        row = [str(number), step.status.name, *(f"{value:.5g}" for value in values)]
+        row += [f"{step.bolts[name].force:.5g}" if name in step.bolts else "" for name in bolts]
+        for name in supports:
+            reaction = step.reactions.get(name)
+            row.append(figures(reaction.force, step.local_error) if reaction else "")
+        table.append(row)
     sections = {
         "Result": as_html(solution._rows()),
         "Picture": f'<img alt="bodies and contact" src="data:image/png;base64,{encoded}">',
         "Forces between bodies": force_graph(solution),
-        "Load steps": as_html(_rows_of_steps([*steps, solution])) if steps else "",
+        "Load steps": as_html(table) if steps else "",
         "Problem": as_html(solution.problem_rows),
     }
     texts = {
@@ -255,19 +271,6 @@ def page(solution: Any, steps: Sequence[Any], picture: Any) -> str:
     body = [f"<h2>{title}</h2>\n<div>{html}</div>" for title, html in sections.items() if html]
     title = f"<body><h1>Contact: {solution.status.value}</h1>"
     return "\n".join([HEAD, title, *body, "</body></html>\n"])
-
-
-def _rows_of_steps(solutions: Sequence[Any]) -> list[list[str]]:
-    """Return a heading, and a row for each step with the bolts and supports of the last step."""
-    bolts, supports = list(solutions[-1].bolts), list(solutions[-1].reactions)
-    rows = [["step", "status", "normal force", "peak pressure", "dissipation", *bolts, *supports]]
-    for number, step in enumerate(solutions, start=1):
-        values = step.normal_force, step.peak_pressure, step.total_dissipation
-        forces = [f"{step.bolts[name].force:.5g}" if name in step.bolts else "" for name in bolts]
-        reactions = [step.reactions.get(name) for name in supports]
-        texts = [figures(r.force, step.local_error) if r else "" for r in reactions]
-        rows.append([str(number), step.status.name, *(f"{x:.5g}" for x in values), *forces, *texts])
-    return rows
 
 
 def force_graph(solution: Any) -> str:
@@ -313,7 +316,7 @@ def environment() -> str:
     petsc = ".".join(map(str, PETSc.Sys.getVersion()))
     scalars, indices = np.dtype(PETSc.ScalarType), np.dtype(PETSc.IntType)
     solvers = [name for name in SOLVERS if PETSc.Sys.hasExternalPackage(name)]
-    blas = ", ".join(sorted({Path(path).name for path in filter(BLAS.search, libraries)}))
+    blas = ", ".join(sorted({Path(path).name for path in libraries if BLAS.search(path)}))
     slow = ", the slow reference implementation" if reference_blas(libraries) else ""
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
     rows: list[Row] = [
