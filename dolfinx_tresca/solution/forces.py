@@ -121,8 +121,7 @@ def resultants_between(
     asked, source = exchange(comm, partners, owners)
     answers, _ = exchange(comm, label[asked - start], source)
     on, by = label[secondary], answers[column]
-    signed_shares = np.sign(by - on) * shares.data
-    on_lower = signed_shares[:, None] * np.concatenate(forces)[shares.row]
+    on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
     weights = np.linalg.norm(on_lower, axis=1)[:, None]
     # sum force, moment about the origin, weighted place and weight for each two bodies
