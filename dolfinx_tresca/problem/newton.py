@@ -308,23 +308,21 @@ class Newton:
             self.flips = problem.function_at_nodes("flips", self._flips)
             problem.return_to(state)
             increment *= 0.5
-            if self.stopped or self.stuck or increment < 0.5**self.options.max_halvings:
-                self.failure += self._diagnosis()
+            if self.stopped or self.stuck:
                 return
-
-    def _diagnosis(self) -> str:
-        """Return why the last part of the load failed, as its steps show, in words. Collective."""
-        if self.stopped or self.stuck:
-            return ""
-        text = ". `newton.unbalanced` and `newton.flips` of the solution show where it fails"
-        # nodes at which contact began or ended in three Newton steps or more
-        (nodes,) = reduce_array(self.problem.comm, [int((self._flips > 2.0).sum())])
-        if nodes:
-            text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
-        if "unstable" not in self.failure and any(step.is_proximal for step in self.steps):
-            text += ", and the tangent is indefinite even with fixed contact: they are unstable"
-            text += UNSTABLE_ELEMENTS
-        return text
+            if increment >= 0.5**self.options.max_halvings:
+                continue
+            # no smaller part is allowed: add to the failure what the steps of this part show
+            text = ". `newton.unbalanced` and `newton.flips` of the solution show where it fails"
+            # nodes at which contact began or ended in three Newton steps or more
+            (nodes,) = reduce_array(problem.comm, [int((self._flips > 2.0).sum())])
+            if nodes:
+                text += f"; contact at {int(nodes)} node(s) begins and ends again and again"
+            if "unstable" not in self.failure and any(step.is_proximal for step in self.steps):
+                text += ", and the tangent is indefinite even with fixed contact: they are unstable"
+                text += UNSTABLE_ELEMENTS
+            self.failure += text
+            return
 
     def _equilibrium(self) -> str:
         """Take Newton steps with the present load; return why they failed, or "". Collective."""
@@ -425,11 +423,12 @@ class Newton:
         except StiffnessError as error:
             residual, fault = math.nan, str(error).rstrip(".")
         if self.level > 0:
-            forces = problem.contact_forces()
-            scale = min(scale, BALANCE * problem.norm_of_correction(forces) or scale)
+            balance = BALANCE * problem.norm_of_correction(problem.contact_forces())
+            scale = min(scale, balance or scale)
         scale = scale or problem.rounding_norm() / self.options.accuracy
         # sums may differ between ranks in the last digit, verdicts must not
-        return *problem.comm.bcast((scale, change / scale, residual / scale)), fault
+        scale, correction, residual = problem.comm.bcast((scale, change / scale, residual / scale))
+        return scale, correction, residual, fault
 
     def _progress(self, *, ended: bool = False) -> NewtonProgress:
         """Return the progress of the steps, for observers. Not collective."""
@@ -466,7 +465,8 @@ class Newton:
     def _step(self) -> ContactSolution:
         """Solve a contact problem with the least of `ADDED` that makes K definite. Collective."""
         # Springs that were needed once are kept; after a slow level, the level below is tried.
-        for level in range(self.level - (self.level >= FIRST_SLOW), len(ADDED)):
+        lowest = self.level - 1 if self.level >= FIRST_SLOW else self.level
+        for level in range(lowest, len(ADDED)):
             try:
                 self.level = level
                 self.problem.factor(*ADDED[level])

@@ -278,7 +278,14 @@ class TangentProblem(ContactSystem):
         if springs > 0.0:
             added, self.tangent.added_forces = self._contact_springs(springs)
             if proximal > 0.0:
-                reference = self._reference_stiffness(proximal)
+                # the reference tangent of free displacements, times the factor
+                with replaced([self.u], [self._reference]):
+                    self.tangent.assemble_stiffness()
+                reference = self.tangent.K.copy()
+                rows, columns = reference.createVecs()
+                # other rows and columns become zero: stiffness would change constraints
+                rows.array, columns.array = proximal * self.tangent.moves, self.tangent.moves
+                reference.diagonalScale(rows, columns)
                 added.axpy(1.0, reference, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         self.tangent.added = added
         try:
@@ -340,17 +347,6 @@ class TangentProblem(ContactSystem):
         held[section.normal] = (jump.gap - jumps)[section.normal] <= TOUCHING * largest
         held[section.tangential] = False
         return held
-
-    def _reference_stiffness(self, factor: float) -> PETSc.Mat:
-        """Return the reference tangent of free displacements times a factor. Collective."""
-        with replaced([self.u], [self._reference]):
-            self.tangent.assemble_stiffness()
-        stiffness = self.tangent.K.copy()
-        rows, columns = stiffness.createVecs()
-        # other rows and columns become zero: stiffness would change constraints
-        rows.array, columns.array = factor * self.tangent.moves, self.tangent.moves
-        stiffness.diagonalScale(rows, columns)
-        return stiffness
 
     def begin(self) -> None:
         """Go to the state in which a solve starts; note where obstacles move in it. Collective."""
@@ -423,7 +419,8 @@ class TangentProblem(ContactSystem):
 
     def is_large(self, error: float, *displacements: Array) -> bool:
         """Return whether an error norm is above rounding and `ROUGH` of others. Collective."""
-        limit = max(ROUGH * max(map(self.energy_norm, displacements)), self.rounding_norm())
+        largest = max(map(self.energy_norm, displacements))
+        limit = max(ROUGH * largest, self.rounding_norm())
         return bool(self.comm.bcast(not error <= limit))  # True for NaN
 
     def rounding_norm(self) -> float:
@@ -439,7 +436,8 @@ class TangentProblem(ContactSystem):
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
         terms = np.abs(K.getDiagonal().array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
         total = entries * self.comm.allreduce(float(terms.sum()))
-        return ROUNDING * math.hypot(math.sqrt(total), self._norm(self._position()))
+        position = self._norm(self._position())
+        return ROUNDING * math.hypot(math.sqrt(total), position)
 
     def _position(self) -> fem.Function:
         """Return positions of nodes from their middle, as a displacement [length]. Collective."""

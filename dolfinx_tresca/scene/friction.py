@@ -120,9 +120,9 @@ class FrictionCurve:
     def depends_on_slip(self) -> bool:
         """Whether F depends on the slip, as tested at 50 pressures and 50 slips from 0 to 1e12."""
         grid = np.append(0.0, np.logspace(-12.0, 12.0, 49))
-        pressure, slip = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
+        pressures, slips = np.meshgrid(grid, grid, indexing="ij")  # slips differ along a row
         with np.errstate(all="ignore"):
-            F = self.values(pressure, slip).reshape(len(grid), len(grid))
+            F = self.values(pressures.ravel(), slips.ravel()).reshape(slips.shape)
         return not np.array_equal(F, np.broadcast_to(F[:, :1], F.shape), equal_nan=True)
 
     def values(self, pressure: Array, slip: Array) -> Array:

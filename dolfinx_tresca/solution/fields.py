@@ -293,24 +293,22 @@ def slip_from(surfaces: Sequence[SurfaceFields], jump: JumpOperator) -> list[Arr
     counts = [len(pair.nodes) for pair in jump.pairs]
     result = np.zeros((sum(counts), 1 + jump.system.V.mesh.geometry.dim))
     for rows, fields in zip(jump.by_pair, surfaces, strict=True):
-        if fields.slip is not None and fields.slip_path is not None:
-            result[rows.nodes] = _slips_at(fields, x[rows.operators.nodes])
+        if fields.slip is None or fields.slip_path is None:
+            continue
+        comm, V = fields.mesh.comm, fields.pressure.function_space
+        corners = V.tabulate_dof_coordinates()[V.dofmap.list]
+        edges = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3)
+        longest_edge = comm.allreduce(edges.max(initial=0.0), op=MPI.MAX)
+        # each rank answers for the points of all ranks; the rank with the nearest facet is right
+        points = x[rows.operators.nodes]
+        asked = comm.allgather(points)
+        answers = _on_nearest_facets(fields, np.concatenate(asked))
+        ends = np.cumsum([len(points_of_rank) for points_of_rank in asked])
+        of_ranks = np.array(comm.alltoall(np.split(answers, ends[:-1])))  # (ranks, points, d + 2)
+        nearest_rank = of_ranks[:, :, 0].argmin(axis=0)  # by the distance, for each point
+        nearest = of_ranks[nearest_rank, np.arange(len(points))]
+        result[rows.nodes] = np.where(nearest[:, :1] <= longest_edge, nearest[:, 1:], 0.0)
     return np.split(result, np.cumsum(counts)[:-1])
-
-
-def _slips_at(fields: SurfaceFields, points: Array) -> Array:
-    """Return a solution's slip vectors and paths (n, d + 1) near points (n, 3). Collective."""
-    comm, V = fields.mesh.comm, fields.pressure.function_space
-    corners = V.tabulate_dof_coordinates()[V.dofmap.list]
-    edges = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3)
-    reach = comm.allreduce(edges.max(initial=0.0), op=MPI.MAX)
-    # each rank answers for the points of all ranks; the rank with the nearest facet is right
-    asked = comm.allgather(points)
-    answers = _on_nearest_facets(fields, np.concatenate(asked))
-    ends = np.cumsum([len(points_of_rank) for points_of_rank in asked])
-    of_ranks = np.array(comm.alltoall(np.split(answers, ends[:-1])))  # (ranks, points, d + 2)
-    nearest = of_ranks[of_ranks[:, :, 0].argmin(axis=0), np.arange(len(points))]
-    return np.where(nearest[:, :1] <= reach, nearest[:, 1:], 0.0)
 
 
 def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:

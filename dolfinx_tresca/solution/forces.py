@@ -119,7 +119,8 @@ def resultants_between(
     start, end = V.dofmap.index_map.local_range
     owners = (partners[:, None] >= np.array(comm.allgather(end))).sum(axis=1)
     asked, source = exchange(comm, partners, owners)
-    on, by = label[secondary], exchange(comm, label[asked - start], source)[0][column]
+    answers, _ = exchange(comm, label[asked - start], source)
+    on, by = label[secondary], answers[column]
     on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
     weights = np.linalg.norm(on_lower, axis=1)[:, None]
@@ -184,17 +185,7 @@ class Supports:
             loads = self._at_nodes(ufl.replace(self.residual, {u: fem.Function(u.function_space)}))
             forces = frames.into_space(forces - loads) + loads
         forces -= self.contact_force.x.array[: len(forces)]
-        self._check_balance(forces)
-        held, springs = self._held_and_springs(where)
-        forces = np.where(held, forces, 0.0)
-        if springs:
-            forces -= self._at_nodes(springs)
-        index = np.zeros(V.dofmap.index_map.size_local, dtype=np.intp)
-        (result,) = nodal_resultants(V, forces, displaced, index, 1)
-        return result if point is None else result.about(point)
-
-    def _check_balance(self, forces: Array) -> None:
-        """Check that no forces (owned degrees of freedom,) are left at free nodes. Collective."""
+        # no forces may be left at free nodes
         free, contact = ~self.system.prescribed, self.contact_force.x.array
         unbalanced, *largest = largest_abs(self.system.comm, forces[free], forces, contact)
         # solutions of the default accuracy leave less than a hundredth of this
@@ -204,6 +195,13 @@ class Supports:
                 f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
                 "the largest force. Call solve() before reaction()."
             )
+        held, springs = self._held_and_springs(where)
+        forces = np.where(held, forces, 0.0)
+        if springs:
+            forces -= self._at_nodes(springs)
+        index = np.zeros(V.dofmap.index_map.size_local, dtype=np.intp)
+        (result,) = nodal_resultants(V, forces, displaced, index, 1)
+        return result if point is None else result.about(point)
 
     def _at_nodes(self, form: Any) -> Array:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
