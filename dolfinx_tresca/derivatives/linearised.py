@@ -166,15 +166,17 @@ class LinearisedContact:
         is_balanced = largest_resultant == 0.0 or bool(np.linalg.norm(unmet) <= 1e-6 * largest)
         if not (is_solved and is_balanced):
             if transpose:
-                failure, cause = "the number has no adjoint", "the number depends on"
-                advice = "Ask for another number, or refine for the energy error."
-            else:
-                failure, cause = "the solution has no tangent", "the controls cause"
-                advice = "Take another direction, or the difference of two solutions."
+                raise ConvergenceError(
+                    "the number has no adjoint: with the contact state of each node fixed (open, "
+                    "sticking, slipping) nothing, or hardly anything, holds a body against the "
+                    "motion that the number depends on. Ask for another number, or refine for the "
+                    "energy error."
+                )
             raise ConvergenceError(
-                f"{failure}: with the contact state of each node fixed (open, sticking, slipping) "
-                f"nothing, or hardly anything, holds a body against the motion that {cause}. "
-                + advice
+                "the solution has no tangent: with the contact state of each node fixed (open, "
+                "sticking, slipping) nothing, or hardly anything, holds a body against the motion "
+                "that the controls cause. Take another direction, or the difference of two "
+                "solutions."
             )
         # the error of v is a small part of the tolerable error of y
         displacement.improve(y, v.x.petsc_vec, 0.03 * accuracy, 0.0)

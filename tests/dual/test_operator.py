@@ -87,14 +87,14 @@ def test_products_are_counted_and_each_is_one_solve(comm):
         solves = dual.compliance.solver.solves
         for number in range(1, 4):
             dual.compliance.apply(local_random(comm, len(dual.b), number))
-            assert dual.compliance.products == number
-            assert dual.compliance.solver.solves == solves + number
+            assert dual.compliance.products == dual.compliance.solver.solves - solves == number
 
 
 @pytest.mark.parallel
 def test_columns_by_an_iterative_solver_are_products(comm):
     """Their iterations are counted, and one that misses its tolerance is no exception."""
     with dual_program(two_bricks(comm, 3), "multigrid", ksp_max_it=2) as dual:
+        assert np.isnan(dual.energy_resolution())  # no displacement counts as rounding
         solver = dual.compliance.solver
         before = solver.krylov_iterations
         assert dual.compliance.complete_products()
