@@ -11,7 +11,7 @@ turns round its shaft, and not along it. If the sides are exchanged, the normal 
 
 The normal multiplier acts along this direction on both sides, with opposite signs. The gap is the
 vector between the surfaces, projected onto this direction; N u is by how much u closes the gap.
-A rigid obstacle that the mesh resolves keeps its exact normal (`mortar_integrals.RESOLVED_ANGLE`).
+A rigid obstacle that the mesh resolves keeps its normal (`obstacle_integrals.RESOLVED_ANGLE`).
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class SmoothSurface:
         if self._exact.any():
             exact = np.flatnonzero(self._exact)
             x = np.tile(facets.lagrange_points(1), (len(exact), 1))
-            normals = facets.exact_normals_at(np.repeat(exact, facets.corners), x)
+            _, normals = facets.exact_surface_at(np.repeat(exact, facets.corners), x)
             self.corner_normals[exact] = normals.reshape(-1, facets.corners, 3)
         self.corner_normals = unit(self.corner_normals)
         self.turns = turned_angles(dots(self.corner_normals, self._facet_normals[:, None]))
@@ -210,8 +210,7 @@ class SmoothSurface:
         offsets = self.heights(facet, hats)[:, None] * self._facet_normals[facet]
         exact = self._exact[facet]
         if exact.any():
-            offsets[exact] = facets.offsets_at(facet[exact], x[exact])
-            normals[exact] = facets.exact_normals_at(facet[exact], x[exact])
+            offsets[exact], normals[exact] = facets.exact_surface_at(facet[exact], x[exact])
         return offsets, normals
 
     def turns_along(self, facet: Indices, lean: Array, to_ends: bool = False) -> Array:

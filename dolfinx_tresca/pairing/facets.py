@@ -185,7 +185,7 @@ class Facets:
     def area_vectors_at(self, facet: Indices, x: Array) -> Array:
         """Return `area_vectors` (m, 3) of facets (m,), each at its own reference point (m, dim)."""
         gradients = tabulate(self.cell, self.degree, 1, x)[1:]
-        along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
+        along = (gradients[:, :, None] @ self.points[facet])[:, :, 0]
         return np.asarray(cross_products(along) * self.outward[facet, None])
 
     def coincide(self, facet: Indices, primary: Facets, partner: Indices) -> Mask:
@@ -197,19 +197,17 @@ class Facets:
         nearest = np.linalg.norm(offset, axis=3).min(axis=2)
         return np.asarray((nearest <= allowed[:, None]).all(axis=1))
 
-    def offsets_at(self, facet: Indices, x: Array) -> Array:
-        """Return vectors (m, 3) from facets (m,), at reference x (m, dim), to exact surfaces."""
-        values = tabulate(self.cell, OFFSET_DEGREE, 0, x)[0]
-        return np.asarray(np.einsum("mk,mki->mi", values, self.offsets[facet]))
+    def exact_surface_at(self, facet: Indices, x: Array) -> tuple[Array, Array]:
+        """Return vectors to the exact surface [length], and its outward unit normals, (m, 3).
 
-    def exact_normals_at(self, facet: Indices, x: Array) -> Array:
-        """Return outward unit normals (m, 3) of the exact surface; see `offsets_at`."""
-        # tangents of the exact surface: gradients of the points of the facet plus offsets
-        gradients = tabulate(self.cell, self.degree, 1, x)[1:]
-        offset_gradients = tabulate(self.cell, OFFSET_DEGREE, 1, x)[1:]
-        along = np.einsum("dmk,mki->dmi", gradients, self.points[facet])
-        along = along + np.einsum("dmk,mki->dmi", offset_gradients, self.offsets[facet])
-        return unit(cross_products(along) * self.outward[facet, None])
+        Each belongs to a facet (m,), whose `offsets` are known, and a reference point x (m, dim).
+        """
+        # the nodes (n, q, 3) that interpolate the exact surface
+        nodes = self.basis(self.lagrange_points(OFFSET_DEGREE)) @ self.points + self.offsets
+        table = tabulate(self.cell, OFFSET_DEGREE, 1, x)[:, :, None]  # values, then gradients
+        offsets = (table[0] @ self.offsets[facet])[:, 0]
+        along = (table[1:] @ nodes[facet])[:, :, 0]  # tangents (dim, m, 3)
+        return offsets, unit(cross_products(along) * self.outward[facet, None])
 
 
 def frames_along(sides: Array, normals: Array) -> Array:
@@ -264,7 +262,7 @@ def project(facets: Facets, nodes: Array, target: Array) -> Array:
         return x
     for _ in range(NEWTON_STEPS):
         table = tabulate(facets.cell, facets.degree, 1, x)  # values, then gradients
-        defect = target - np.einsum("nk,nki->ni", table[0], nodes)
+        defect = target - (table[0][:, None] @ nodes)[:, 0]
         jacobians = np.einsum("jnk,nki->nij", table[1:], nodes)
         step = _solve(jacobians, defect)
         x = x + step

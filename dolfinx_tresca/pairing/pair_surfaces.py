@@ -23,7 +23,8 @@ from dolfinx_tresca._base.parallel import (
 from dolfinx_tresca.errors import PairingError, shown_place
 from dolfinx_tresca.pairing.coupling import corners_that_carry, couple
 from dolfinx_tresca.pairing.facets import MISMATCH, NEGLIGIBLE, Facets, SurfaceNodes
-from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals, obstacle_integrals
+from dolfinx_tresca.pairing.mortar_integrals import MortarIntegrals
+from dolfinx_tresca.pairing.obstacle_integrals import obstacle_integrals
 from dolfinx_tresca.pairing.operators import PairOperators
 from dolfinx_tresca.pairing.pieces import halos, owners_flags, owns, with_neighbours
 from dolfinx_tresca.pairing.undeformed import PairGroup, Undeformed, groups_of
