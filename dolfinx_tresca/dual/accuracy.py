@@ -248,14 +248,14 @@ class DiscretisationError:
         at_points = element.tabulate(0, points)[0, :, :, 0]
         at_nodes = element.tabulate(0, nodes)[0, :, :, 0]
         self._at_nodes = at_nodes @ np.linalg.inv(at_points)
-        # forms of one value in each cell: the energy of the difference, and the volume
+        # one value in each cell: the form of the energy of the difference, and the volume
         weight = ufl.TestFunction(cells)
         difference = self._gradient - ufl.grad(self._u)
         simplices = vertex_count(V) == mesh.topology.dim + 1
         self._factor = RECOVERY_FACTOR[simplices][degree - 1]
         self._square = fem.form(with_gradient(a, difference, weight))
-        self._volume = fem.form(weight * ufl.dx)
         self._cells, self._errors = cells, fem.Function(cells)
+        self._volumes = self._assembled(fem.form(weight * ufl.dx))
         # the material of each cell: its stiffness is its energy for the same gradient in all cells,
         # divided by its volume (up to a factor)
         generic = ufl.as_tensor(np.eye(dim) + 1.0)  # any gradient that strains all directions
@@ -304,20 +304,19 @@ class DiscretisationError:
             if self._cells.mesh.comm.allreduce(same, op=MPI.LAND):
                 return last_squares
         self._u.x.array[:] = u
-        volumes = self._assembled(self._volume)
-        squares = np.zeros_like(volumes)
+        squares = np.zeros_like(self._volumes)
         for material in range(self._count):
             cells = np.flatnonzero(self._materials == material).astype(np.int32)
-            self._recover(cells, volumes)
+            self._recover(cells)
             squares[cells] = self._assembled(self._square)[cells]
         squares = np.asarray(self._factor**2 * squares)
         self._last = u.copy(), squares
         return squares
 
-    def _recover(self, of_material: LocalNumbers, volumes: Array) -> None:
+    def _recover(self, of_material: LocalNumbers) -> None:
         """Set `_gradient` at nodes: the mean over adjacent cells, weighted by volume. Collective.
 
-        Only the cells `of_material` (n,) count; the volumes are those of all cells of this rank.
+        Only the cells `of_material` (n,) count.
         """
         mesh, dofmap = self._gradient.function_space.mesh, self._gradient.function_space.dofmap
         sums, weights = self._gradient.x, dolfinx.la.vector(dofmap.index_map, 1)
@@ -331,7 +330,7 @@ class DiscretisationError:
             values = self._at_nodes @ at_points  # (cells, nodes of a cell, dim^2)
             # the sum over the cells at each node, by a matrix with a column for each node of each
             # cell; numpy's add.at takes six times as long
-            volume = np.repeat(volumes[cells], nodes.shape[1])
+            volume = np.repeat(self._volumes[cells], nodes.shape[1])
             ends = np.arange(nodes.size + 1)
             sum_at_nodes = csc_array((volume, nodes.ravel(), ends), (len(tensors), nodes.size))
             tensors += sum_at_nodes @ values.reshape(nodes.size, -1)
