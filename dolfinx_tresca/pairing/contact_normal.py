@@ -143,11 +143,14 @@ class SmoothSurface:
     def _corner_pair_heights(self, smooth: Array, cosines: Array) -> Array:
         """Return the factors (n, pairs of corners) of h_c h_d in the fitted height [length].
 
-        They are zero next to kinks, where facets are not `smooth` (n,), and on all facets if none
-        has a height beyond rounding, or any is bent. `cosines` (n, corners): as in `turned_angles`.
+        They are multiplied by `smooth` (n,), which is zero next to kinks (`_smoothness`), and zero
+        on all facets if none has a height beyond rounding, or any is bent. `cosines` (n, corners)
+        are those of the angles between the normals at corners and the facet's normal.
         """
-        # On a circle slopes as sines give too little, as tangents too much: the geometric mean of
-        # both is right to fourth order in the angle. Folded facets have negative cosines.
+        # n_c.(x_d - x_c) are sines of angles, times a length. Heights on a circle, whose slopes are
+        # tangents, would be too small with sines and too large with tangents; the geometric mean
+        # is right to fourth order in the angle. Cosines of folded facets may be negative: 0.5 is
+        # the least that counts.
         means = 0.5 * (cosines[:, self._first] + cosines[:, self._second])
         stretch = np.sqrt(np.maximum(means, 0.5))
         # n_c.(x_d - x_c) and n_d.(x_d - x_c) of the pairs of corners

@@ -333,23 +333,26 @@ def facet_origins(V: Any, facets: Facets) -> Array:
 def redundant_nodes(nodes: SurfaceNodes, paired: Indices, exchanged: Indices) -> Mask:
     """Return a mask (n,) of nodes that need no multiplier on a surface that touches itself.
 
-    Where the choice of `SelfContact` changes from facet to facet, two opposite nodes may each be
-    secondary on one facet and primary on the next. Both would have the same jump: the node that
-    comes first in the mesh file has the multiplier, and the second one is redundant. So is a node
-    that is opposite to itself, such as the tip of a crack, which has no jump. Valid for nodes with
-    all facets on this rank; `paired` (p, 2) and `exchanged` (q, 2) are those of `MortarIntegrals`.
+    Nodes count as opposite if facets at them overlap. Where the choice of `SelfContact` changes
+    from facet to facet, two opposite nodes may each be secondary on one facet and primary on the
+    next. Both would have the same jump: the node that comes first in the mesh file has the
+    multiplier, and the second one is redundant. So is a node that is opposite to itself, such as
+    the tip of a crack, which has no jump. Valid for nodes with all facets on this rank.
+
+    The facet pairs are those of `MortarIntegrals`: `paired` (p, 2) have the secondary facet first,
+    `exchanged` (q, 2) the primary one.
     """
     count, in_file = nodes.facets.corners, nodes.facets.file_numbers
 
     def rows(pairs: Indices) -> Indices:
-        """Return the rows (node, its number in the file, that of a corner of its partner)."""
+        """Return rows (node of a first facet, its number in the file, that of an opposite node)."""
         own, theirs = pairs.T
         node = np.repeat(nodes.facet_nodes[own], count, axis=1)
         number = np.repeat(in_file[own], count, axis=1)
         result: Indices = np.stack([node, number, np.tile(in_file[theirs], count)], axis=2)
         return np.unique(result.reshape(-1, 3), axis=0)
 
-    # rows that occur twice are of nodes that are secondary on one facet and primary on another
+    # a row of both kinds of pairs is of a node that is secondary on one facet, primary on another
     together = np.concatenate([rows(paired), rows(exchanged)])
     seen, times = np.unique(together, axis=0, return_counts=True)
     own, theirs = seen[:, 1], seen[:, 2]
