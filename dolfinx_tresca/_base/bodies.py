@@ -120,9 +120,8 @@ class Bodies:
     arm: Array
 
     @classmethod
-    def from_space(cls, V: Any, cell_tags: Any = None) -> Bodies:
-        """Find the bodies of V's mesh; `NamedTags` of its cells name them. Collective."""
-        label = label_bodies(V)
+    def from_labels(cls, V: Any, label: npt.NDArray[np.int64], cell_tags: Any = None) -> Bodies:
+        """Measure the bodies of `label_bodies(V)`; `NamedTags` of cells name them. Collective."""
         count = V.mesh.comm.allreduce(int(label.max(initial=-1)), op=MPI.MAX) + 1
         bounds = _extremes(V.mesh.comm, label, count, V.tabulate_dof_coordinates())
         tag_names = _tag_names(V, label, count, cell_tags)

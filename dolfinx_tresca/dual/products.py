@@ -19,7 +19,7 @@ from scipy.sparse import csc_array, csr_array, eye_array
 from dolfinx import la
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Indices, Matrix
-from dolfinx_tresca._base.bodies import couples_bodies, label_bodies
+from dolfinx_tresca._base.bodies import couples_bodies
 from dolfinx_tresca._base.parallel import gather_rows, largest_abs, reduce_array
 from dolfinx_tresca._base.petsc import (
     PetscOwner,
@@ -67,7 +67,7 @@ class SurfaceCompliance:
     def __init__(self, system: Any) -> None:
         """Begin without degrees of freedom. Collective."""
         nodes, block = system.V.dofmap.index_map, system.V.dofmap.index_map_bs
-        self.body = np.repeat(label_bodies(system.V)[: nodes.size_local], block)
+        self.body = np.repeat(system.body_of_node[: nodes.size_local], block)
         self.bodies = 1.0 + float(largest_abs(system.comm, self.body)[0])
         self._comm, self._moves = system.comm, system.moves
         self._range = block * np.array(nodes.local_range)

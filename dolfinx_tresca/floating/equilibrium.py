@@ -33,7 +33,7 @@ from dolfinx_tresca.solvers.constraints import (
     Reductions,
     balance,
     eigenpairs,
-    is_positive_definite,
+    factored,
 )
 from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import FrictionDeficit
@@ -351,7 +351,9 @@ def _unresisted(gram: csr_array, body: Indices) -> tuple[Array, int]:
     together = UNRESISTED_SQUARE / max(len(np.unique(body)), 1) ** 4
     # first single bodies, then all; eigenvalues of up to 1e-13 are rounding of jumps of length 1
     for matrix, least in ((own, UNRESISTED_SQUARE), (gram, max(together, 1e-13))):
-        if m == 0 or is_positive_definite(matrix - least * eye_array(m)):
+        # pivots have the signs of the eigenvalues less `least` (Sylvester)
+        factors = factored(matrix - least * eye_array(m)) if m > 0 else None
+        if m == 0 or (factors is not None and (factors.U.diagonal() > 0.0).all()):
             continue
         if matrix is own or m < MANY:
             values, vectors = eigenpairs(matrix)

@@ -27,7 +27,7 @@ class HeldStiffness:
     def __init__(self, linear: LinearSystem, cell_tags: Any, request: SolverRequest) -> None:
         """Find the bodies, with names from tags of cells, and choose the solver. Collective."""
         self._linear, self._request = linear, request
-        self.bodies = Bodies.from_space(linear.V, cell_tags)
+        self.bodies = Bodies.from_labels(linear.V, linear.body_of_node, cell_tags)
         dim, is_saddle = linear.V.dofmap.index_map_bs, linear.component is not None
         counts = self.bodies.node_counts
         # the mean over all nodes of their body's unknowns: large bodies decide

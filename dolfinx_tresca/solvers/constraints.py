@@ -311,9 +311,3 @@ def factored(matrix: csr_array) -> Any | None:
         return splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
     except RuntimeError:
         return None
-
-
-def is_positive_definite(matrix: csr_array) -> bool:
-    """Return whether all pivots of a sparse symmetric matrix are positive (Sylvester)."""
-    factors = factored(matrix)
-    return factors is not None and bool((factors.U.diagonal() > 0.0).all())

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, in_space
-from dolfinx_tresca._base.bodies import Bodies, label_bodies
+from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.parallel import reduce_array
 from dolfinx_tresca._base.petsc import sparse_matrix
 from dolfinx_tresca._base.tolerances import ASSEMBLY_ROUNDING
@@ -79,7 +79,7 @@ class BodyFrames:
         if system.axisymmetric or has_stresses(system.loads):
             return None
         owned, dim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
-        label = label_bodies(V)
+        label = system.body_of_node
         prescribed = system.prescribed_displacements.reshape(owned, dim)
         whole = prescribed.all(axis=1)
         # for each body and axis, the number of nodes that keep the body from turning about other

@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
+from dolfinx_tresca._base.bodies import label_bodies
 from dolfinx_tresca._base.compat import EntityMaps, owned_dofs, require_real_petsc
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs
@@ -103,6 +104,11 @@ class LinearSystem(PetscOwner):
         displacement = np.ones(owned, np.bool_) if self.component is None else self.component.mask
         self.moves: Mask = ~self.prescribed & displacement
         self.signs: Array = np.where(displacement, 1.0, -1.0)
+
+    @cached_property
+    def body_of_node(self) -> npt.NDArray[np.int64]:
+        """The body (nodes of V,) of each node, with ghosts. Collective at the first access."""
+        return label_bodies(self.V)
 
     def destroy(self) -> None:
         """Free the PETSc matrices. Collective."""
