@@ -165,9 +165,8 @@ class Iterate:
 
     def increase_accuracy(self) -> None:
         """Make gradient and products, or the model of a whole A, more accurate. Collective."""
-        store = self.store
-        if isinstance(store, WholeModel):
-            store.reduce_shift()
+        if isinstance(self.store, WholeModel):
+            self.store.reduce_shift()
         elif not self._is_exact and self._part >= FULL_ACCURACY:
             self._part *= FORCING
             self.finest *= FORCING
@@ -213,7 +212,7 @@ class ModelNewton:
         store = compliance.known_products()
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
-            # the estimate of sigma_max needs a product, if only with the near field
+            # an estimate of sigma_max needs a product: that of b with the near field, else with A
             if store.largest_eigenvalue_estimate == 0.0:
                 if store.near is not None:
                     store.near.add(b, store.apply_near(b))

@@ -64,7 +64,8 @@ class NodalMaps:
         of a disc. If bounds are given, `cones` are Lambda, and Q and L are zero.
         """
         stiffness = np.minimum(stiffness, STIFFEST * diagonal)
-        weight, radial, free = np.reciprocal(diagonal + stiffness), face.radial, face.free
+        weight = np.reciprocal(diagonal + stiffness)
+        radial, free = face.radial, face.free
         slope, by_slip = cones.slopes(x, face.slip)
         # `inverse`: with D for M, P s = P a / (D + C), and t's = (g' n's + h t'a) / (1 + h D)
         damping = 1.0 + by_slip * cones.disc_means(diagonal)
