@@ -61,9 +61,9 @@ class NaturalResidual:
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         constraint_terms = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self.terms = norm(self._problem, self._problem.b_terms)
-        terms = self.terms + norm(self._problem, constraint_terms)
+        all_terms = self.terms + norm(self._problem, constraint_terms)
         # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), rho ~ 1 / sigma_max
-        self.rounding = max(ROUNDING * terms, self._error / float(np.sqrt(rho)))
+        self.rounding = max(ROUNDING * all_terms, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = at_zero <= self.rounding
         scale = 0.0 if self.zero_is_solution else at_zero
         self.scale = max(scale, self.least_scale)
