@@ -54,8 +54,8 @@ factors K with springs that hold them; A follows.
    only then `interior_point` helps Newton's method where it fails.
 5. `ModelNewton.check_progress` ends the iteration. By `History.check_convergence` the status is
    CONVERGED, STOPPED or MAX_ITERATIONS; without progress it is STAGNATED or, if bounds depend on
-   the pressure, NO_FIXED_POINT, and `friction_deficit` looks for a motion that friction cannot
-   hold. The last iterate becomes the `DualSolution`.
+   the pressure, NO_FIXED_POINT, with the motion that friction cannot hold, if there is one. The
+   last iterate becomes the `DualSolution`.
 6. `evaluate` (room `solution`) begins with `DualProgram.compute_displacement`: K u = f - B'x with
    the last x. `DualProgram.in_equilibrium` adds the rigid displacements of floating bodies. All
    fields, forces, energies and bounds are computed from this u and x.

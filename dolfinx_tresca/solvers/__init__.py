@@ -33,7 +33,7 @@ from the user's call through these algorithms to the table.
 | c | `c` | multipliers of the constraints |
 | G, S, e | `EqualityConstraints.columns`, `.softness`, `.values` | G'x + S c = e |
 | M | `model` | model of A |
-| D, W, Y | `ProductStore.near` or `.diagonal`, `.W`, `.Y` | approximation of A; products Y = A W |
+| D, W, Y | `ProductStore.near` or a diagonal, `.W`, `.Y` | approximation of A; products Y = A W |
 | P, rho | `FeasibleSet.project`, `rho` | projection; step length (`SemismoothNewton`: one a row) |
 | kappa, C | `FeasibleSet.circle_stiffness` | curvature of friction circles: norm of r, over g |
 | T, R | `NodalMaps.test`, `.added` | equations of a Newton step, with slopes Q, L of slip bounds |

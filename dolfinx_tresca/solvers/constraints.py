@@ -93,10 +93,6 @@ class EqualityConstraints:
         """Return G'x (k,), summed over all ranks."""
         return self.reductions.total(self.columns.T @ x) if len(self) else np.empty(0)
 
-    def along_absolute(self, x: Array) -> Array:
-        """Return |G|'x, (k,) or (k, columns), for the sizes of the terms of G'x."""
-        return self.reductions.total(self.absolute.T @ x)
-
     def softness_with(self, added: float) -> csr_array:
         """Return S + s E, E = `_exact_projector`, s = `added` >= 0: Newton systems are regular."""
         if added == 0.0 or len(self) == 0:
@@ -121,14 +117,15 @@ class EqualityConstraints:
         """
         if len(self) == 0:
             return 0.0
-        missing, loads = self.residual(x, c), self.along_absolute(np.abs(x)) + self.term_sums
+        missing = self.residual(x, c)
+        exact_terms = self.reductions.total(self.absolute.T @ np.abs(x)) + self.term_sums
+        soft_terms = exact_terms + abs(self.softness) @ np.abs(c)
         exact = self._exact_projector @ missing
-        soft_terms = loads + abs(self.softness) @ np.abs(c)
-        ratios = (
-            float(np.linalg.norm(residual)) / max(float(np.linalg.norm(terms)), LEAST_DIVISOR)
-            for residual, terms in ((exact, loads), (missing - exact, soft_terms))
-        )
-        return max(ratios)
+        exact_size = max(float(np.linalg.norm(exact_terms)), LEAST_DIVISOR)
+        soft_size = max(float(np.linalg.norm(soft_terms)), LEAST_DIVISOR)
+        exact_ratio = float(np.linalg.norm(exact)) / exact_size
+        soft_ratio = float(np.linalg.norm(missing - exact)) / soft_size
+        return max(exact_ratio, soft_ratio)
 
     def soft_violation(self, x: Array, c: Array) -> float:
         """Return sqrt(d'S d) for the change d of c with which the soft equations hold at x.
@@ -216,14 +213,20 @@ def balance(
             free body under pressure resists its rotation negatively. Without a start, C is the
             projector onto the positive eigenvectors of S: the result does not depend on softness.
     """
-    G, target, inner = constraints.columns, constraints.values, constraints.reductions.sparse_inner
+    G, target, absolute = constraints.columns, constraints.values, constraints.absolute
+    inner, agreed = constraints.reductions.sparse_inner, constraints.reductions.from_first_rank
     term_sums = np.maximum(constraints.term_sums, np.abs(target))
-    depth = 0.5 * LARGEST_REACTION**2 * float(term_sums @ term_sums) if start is None else np.inf
     eigenvalues, vectors = constraints.soft_directions
-    weights = np.ones_like(eigenvalues) if start is None else softness_factor * eigenvalues
+    if start is None:
+        y = np.zeros(G.shape[0])
+        weights = np.ones_like(eigenvalues)
+        depth = 0.5 * LARGEST_REACTION**2 * float(term_sums @ term_sums)
+    else:
+        y = start
+        weights = softness_factor * eigenvalues
+        depth = np.inf
     C: csr_array = vectors @ diags_array(weights) @ vectors.T
-    y = np.zeros(G.shape[0]) if start is None else start
-    agreed = constraints.reductions.from_first_rank
+    # Newton's unknowns are scaled by the diagonal of the majorant of all Hessians
     scale = 1.0 / np.sqrt((inner(G, G) + C).diagonal())
     scaling = diags_array(scale)
 
@@ -232,26 +235,29 @@ def balance(
         p = feasible_set.project(y + G @ z)
         return agreed(constraints.along(p) + C @ z - target)
 
-    z, damping, unbounded = np.zeros_like(target), DAMPING, False
+    z = np.zeros_like(target)
+    damping, unbounded = DAMPING, False
     for _ in range(MOST_STEPS):
         gradient = excess(z)
         # two rounding errors of the gradient: of its sums, and of G z, which may be much larger
         p = feasible_set.project(y + G @ z)
-        shift_terms = np.where(p != 0.0, constraints.absolute @ np.abs(z), 0.0)
-        sums = constraints.along_absolute(np.column_stack([np.abs(p), shift_terms]))
+        shift_terms = np.where(p != 0.0, absolute @ np.abs(z), 0.0)
+        local_terms = np.column_stack([np.abs(p), shift_terms])
+        sums = constraints.reductions.total(absolute.T @ local_terms)  # (k, 2)
         terms = agreed(sums[:, 0] + abs(C) @ np.abs(z) + term_sums)
-        rounding, shift_rounding = ROUNDING * terms, agreed(np.finfo(float).eps * sums[:, 1])
+        rounding = ROUNDING * terms
+        shift_rounding = agreed(np.finfo(float).eps * sums[:, 1])
         # the end: once `unbounded` is proven, one more step has made the direction of z accurate
         if unbounded or shift_rounding.max() > LOST * terms.max():
             break
         if (np.abs(gradient) <= rounding + shift_rounding).all():
             return Balance(z, gradient, bool((np.abs(gradient) <= rounding).all()))
         unbounded = -_dot(z, gradient) > depth  # phi(0) = 0, phi is convex: phi(z) <= z'gradient
-        # a damped Newton step, with unknowns scaled by the diagonal of the majorant
-        hessian = inner(G, feasible_set.projection_derivative(y + G @ z) @ G) + C
-        step = -agreed(
-            scale * _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
-        )
+        # a damped Newton step
+        derivative = feasible_set.projection_derivative(y + G @ z)
+        hessian = inner(G, derivative @ G) + C
+        scaled = _damped_solution(scaling @ hessian @ scaling, scale * gradient, damping)
+        step = -agreed(scale * scaled)
 
         def slope(length: float, z: Array = z, step: Array = step) -> float:
             return _dot(step, excess(z + length * step))
@@ -296,9 +302,10 @@ def eigenpairs(matrix: csr_array) -> tuple[Array, csr_array]:
     blocks = np.split(order, np.cumsum(np.bincount(label))[:-1])
     rows = csr_array(matrix)
     pairs = [np.linalg.eigh(rows[block][:, block].toarray()) for block in blocks]
-    vectors = csr_array(block_diag([csr_array(vectors) for _, vectors in pairs]))
+    values = np.concatenate([eigenvalues for eigenvalues, _ in pairs])
+    vectors = csr_array(block_diag([csr_array(eigenvectors) for _, eigenvectors in pairs]))
     position = np.argsort(order)
-    return np.concatenate([values for values, _ in pairs])[position], vectors[position][:, position]
+    return values[position], vectors[position][:, position]
 
 
 def factored(matrix: csr_array) -> Any | None:

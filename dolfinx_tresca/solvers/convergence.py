@@ -30,6 +30,7 @@ class NaturalResidual:
     Attributes:
         rho: length of the gradient step in the residual, `step_factor` / sigma_max of A.
         scale: the divisor of relative residuals, see above.
+        least_scale: lower bound of the scale; 0 unless a load step sets it to |A x|.
         zero: the point lambda = 0, with the constraints' present multipliers.
         zero_is_solution: whether the residual at lambda = 0 is rounding.
         rounding: largest residual that counts as rounding.
@@ -43,7 +44,8 @@ class NaturalResidual:
         The `error` is that of b in the norm sqrt(e'A^-1 e), if the solver for K cannot reduce it:
         residuals below it count as zero. By default, only rounding counts as zero.
         """
-        self._problem, self._error, self._least_scale, self.rho = problem, error, 0.0, rho
+        self._problem, self._error = problem, error
+        self.rho, self.least_scale = rho, 0.0
         self.set_constraint_multipliers(np.zeros(len(problem.constraints)))
 
     def set_constraint_multipliers(self, c: Array) -> None:
@@ -59,16 +61,12 @@ class NaturalResidual:
         # the constraints' multipliers c may cancel b: the terms of G c have rounding errors as well
         constraint_terms = self._problem.constraints.absolute @ np.abs(self.zero.c)
         self.terms = norm(self._problem, self._problem.b_terms)
-        terms = self.terms + norm(self._problem, constraint_terms)
+        all_terms = self.terms + norm(self._problem, constraint_terms)
         # the gradient's error e has |e| <= sqrt(sigma_max) sqrt(e'A^-1 e), rho ~ 1 / sigma_max
-        self.rounding = max(ROUNDING * terms, self._error / float(np.sqrt(rho)))
+        self.rounding = max(ROUNDING * all_terms, self._error / float(np.sqrt(rho)))
         self.zero_is_solution = at_zero <= self.rounding
-        self.scale = max(0.0 if self.zero_is_solution else at_zero, self._least_scale)
-
-    def raise_scale(self, product: Array) -> None:
-        """Increase the scale to the norm of a product A x (size,), if it is larger. Collective."""
-        self._least_scale = norm(self._problem, product)
-        self.scale = max(self.scale, self._least_scale)
+        scale = 0.0 if self.zero_is_solution else at_zero
+        self.scale = max(scale, self.least_scale)
 
     def zero_is_undecided(self, error: float) -> bool:
         """Return whether the gradient is too inaccurate to decide if zero is the solution.
@@ -76,26 +74,21 @@ class NaturalResidual:
         The `error` e is given in the norm sqrt(e'A^-1 e). Zero is undecided if its residual is at
         most |e|, and gradients that are lower by |e| in each row cause a pressure. Collective.
         """
-        bound, zero = error / float(np.sqrt(self.rho)), self.zero  # of |e|, as in `set_rho`
-        return self.scale <= bound and self.norm_at(Point(zero.x, zero.c, zero.r - bound)) > 0.0
+        bound = error / float(np.sqrt(self.rho))  # of |e|, as in `set_rho`
+        lowered = Point(self.zero.x, self.zero.c, self.zero.r - bound)
+        return self.scale <= bound and self.norm_at(lowered) > 0.0
 
     def norm_at(self, point: Point) -> float:
         """Return the natural residual, not divided by its scale. Collective."""
-        section, x = self._problem.section_at(point.x, point.r), point.x
-        change = norm(self._problem, x - section.project(x - self.rho * point.r))
-        unbalanced = np.linalg.norm(self._problem.constraints.residual(point.x, point.c))
+        problem, x, r = self._problem, point.x, point.r
+        projected = problem.section_at(x, r).project(x - self.rho * r)
+        change = norm(problem, x - projected)
+        unbalanced = np.linalg.norm(problem.constraints.residual(x, point.c))
         return float(np.hypot(change, unbalanced)) / self.rho
 
     def relative(self, residual: float) -> float:
         """Return a natural residual divided by its scale. Not collective."""
         return residual / self.scale if self.scale > 0.0 else residual
-
-
-def dual_energy(problem: DualProblem, point: Point) -> float:
-    """Return q = x'A x / 2 - b'x, plus the energy c'S c / 2 of soft constraints. Collective."""
-    constraints, c = problem.constraints, point.c
-    image = point.r + constraints.columns @ c - problem.b  # A x - 2 b, since r = A x - b - G c
-    return 0.5 * (float(problem.inner(point.x, image)) + float(c @ constraints.softness @ c))
 
 
 def energy_norm(problem: DualProblem, point: Point, error: float = 0.0) -> float:
@@ -177,18 +170,19 @@ class History:
 
     def check_convergence(self, point: Point, error: float) -> ContactStatus | None:
         """Record an iterate; return the status if the iteration ends, else None. Collective."""
-        problem, residual = self._problem, self.residual
-        value = residual.norm_at(point)
-        self.residual_norms.append(value)
-        self.residuals.append(residual.relative(value))
-        self.q.append(dual_energy(problem, point))
-        reached, wanted, done = self.reached(point, error, value)
+        problem, constraints, c = self._problem, self._problem.constraints, point.c
+        residual_norm = self.residual.norm_at(point)
+        relative = self.residual.relative(residual_norm)
+        # q = x'A x / 2 - b'x, plus the energy c'S c / 2 of soft constraints
+        image = point.r + constraints.columns @ c - problem.b  # A x - 2 b, since r = A x - b - G c
+        q = 0.5 * (float(problem.inner(point.x, image)) + float(c @ constraints.softness @ c))
+        self.residual_norms.append(residual_norm)
+        self.residuals.append(relative)
+        self.q.append(q)
+        reached, wanted, done = self.reached(point, error, residual_norm)
         number = len(self.residuals) - 1
-        stop = self._observe(
-            Iteration(
-                number, problem.compliance.products, self.residuals[-1], reached, wanted, self.q[-1]
-            )
-        )
+        products = problem.compliance.products
+        stop = self._observe(Iteration(number, products, relative, reached, wanted, q))
         if done:
             return ContactStatus.CONVERGED
         if stop:
@@ -204,15 +198,19 @@ class History:
         residual before them. Iterates before the one with the index `since` do not count.
         """
         residuals = self.residuals[since:]
-        return len(residuals) > iterations and (
-            min(residuals[-iterations:]) > progress * min(residuals[:-iterations])
-        )
+        if len(residuals) <= iterations:
+            return False
+        return min(residuals[-iterations:]) > progress * min(residuals[:-iterations])
 
     def solution(self, point: Point, status: ContactStatus, error: float | None) -> DualSolution:
         """Return the result with the last iterate as the solution. Collective.
 
         The `error` is that of the gradient in the norm sqrt(e'A^-1 e); None: unknown.
         """
+        # the displacement is computed after the last check of convergence: with an error as large
+        # as the tolerable error, its error bound could exceed the bound that was checked; the
+        # displacement of the last gradient, with its `error`, may always stay
+        tolerance = None if error is None else max(error, FORCING * self.tolerable_error(point))
         return DualSolution(
             multipliers=point.x,
             c=point.c,
@@ -223,12 +221,7 @@ class History:
             q=tuple(self.q),
             rho=self.residual.rho,
             wanted=self.accuracy,
-            # the displacement is computed after the last check of convergence: with an error as
-            # large as the tolerable error, its error bound could exceed the bound that was checked;
-            # the displacement of the last gradient, with its `error`, may always stay
-            displacement_tolerance=(
-                None if error is None else max(error, FORCING * self.tolerable_error(point))
-            ),
+            displacement_tolerance=tolerance,
         )
 
     def reached(self, point: Point, error: float, residual: float) -> tuple[float, float, bool]:
@@ -276,9 +269,8 @@ class History:
                 yield bound, FORCING  # before the error of the mesh is estimated
                 if rtol is None or bound > BELOW_ANY_MESH:
                     mesh = problem.discretisation_error(x, point.c)
-                    self.accuracy = min(
-                        max(self._options.mesh_part * mesh, SMALLEST_TOLERANCE), FORCING
-                    )
+                    wanted = max(self._options.mesh_part * mesh, SMALLEST_TOLERANCE)
+                    self.accuracy = min(wanted, FORCING)
             if self.accuracy < np.inf:
                 yield bound, self.accuracy
         elif rtol is None:

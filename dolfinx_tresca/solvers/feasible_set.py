@@ -104,8 +104,9 @@ class FeasibleSet:
 
     def at_normals(self, values: Array) -> Array:
         """Return values (n_discs,) as a vector (size,) of normal rows, zero elsewhere."""
-        result, has = np.zeros(self.size), self.normal_of >= 0
-        result[self.normal_of[has]] = values[has]
+        result = np.zeros(self.size)
+        has_normal = self.normal_of >= 0
+        result[self.normal_of[has_normal]] = values[has_normal]
         return result
 
     def of_normals(self, v: Array) -> Array:
@@ -146,8 +147,8 @@ class FeasibleSet:
 
     def project(self, y: Array) -> Array:
         """Return P_Lambda(y), the point of the set nearest to y (size,)."""
-        norms, factor = self.norms(y), np.ones_like(self.radius)
-        np.divide(self.radius, norms, out=factor, where=norms > self.radius)
+        norms = self.norms(y)
+        factor = np.divide(self.radius, norms, out=np.ones_like(norms), where=norms > self.radius)
         result = self.scaled_discs(y, factor)
         result[self.normal] = np.maximum(y[self.normal], 0.0)
         return result
@@ -156,8 +157,8 @@ class FeasibleSet:
         """Return the slant derivative (size, size) of P_Lambda at y, (38.8)."""
         # outside of its disc, y with the unit vector e becomes g e: the derivative of the
         # tangential part is g / |y| (I - e e')
-        face, factor = self.face(y), np.ones_like(self.radius)
-        np.divide(self.radius, self.norms(y), out=factor, where=face.slip)
+        face, norms = self.face(y), self.norms(y)
+        factor = np.divide(self.radius, norms, out=np.ones_like(norms), where=face.slip)
         scales = self.scaled_discs(np.ones(self.size), factor)
         return self.nodal_matrix(scales * face.free, (-scales * face.radial, face.radial))
 
@@ -168,7 +169,8 @@ class FeasibleSet:
         a_i b_j is added to the entry (i, j) if i and j belong to the same node.
         """
         pattern = self._pattern
-        columns, rows = pattern.indices, np.repeat(np.arange(self.size), np.diff(pattern.indptr))
+        columns = pattern.indices
+        rows = np.repeat(np.arange(self.size), np.diff(pattern.indptr))  # of the same entries
         values = np.where(rows == columns, diagonal[rows], 0.0)
         for a, b in terms:
             values += a[rows] * b[columns]
@@ -177,12 +179,15 @@ class FeasibleSet:
     @cached_property
     def _pattern(self) -> csr_array:
         """The matrix (size, size) with nonzero entries where `nodal_matrix` may have entries."""
-        size, with_normal = self.size, np.flatnonzero(self.normal_of >= 0)
+        size, n_discs = self.size, len(self.radius)
         # multipliers of a node have the number of its disc, all others a number of their own
-        number = np.arange(size) + len(self.radius)
-        number[self.tangential], number[self.normal_of[with_normal]] = self.node, with_normal
+        with_normal = np.flatnonzero(self.normal_of >= 0)
+        number = np.arange(size) + n_discs
+        number[self.tangential] = self.node
+        number[self.normal_of[with_normal]] = with_normal
+        # entry (i, j) of `member` is 1 if multiplier i has the number j
         entries = np.ones(size), number, np.arange(size + 1)
-        member = csr_array(entries, shape=(size, size + len(self.radius)))
+        member = csr_array(entries, shape=(size, size + n_discs))
         pattern = csr_array(member @ member.T)
         pattern.sort_indices()
         return pattern
@@ -198,7 +203,8 @@ class FeasibleSet:
         free = active.copy()
         free[self.tangential] = self.movable[self.node]
         factor = np.divide(1.0, norms, out=np.zeros_like(norms), where=slip)
-        return Face(stick, slip, active, free, y * self.at_tangents(factor), self)
+        radial = y * self.at_tangents(factor)
+        return Face(stick, slip, active, free, radial, self)
 
     def on_face(self, v: Array, face: Face) -> Array:
         """Return v (size,) moved to a face: open nodes to zero, slipping nodes to their circles."""
@@ -212,10 +218,10 @@ class FeasibleSet:
         solution. The curvature of the circle adds kappa to the second derivative of q along it. If
         r points outwards, kappa is zero. With a radius that is almost zero, it may be infinite.
         """
-        kappa = np.zeros_like(self.radius)
         with np.errstate(over="ignore"):
             inwards = np.maximum(-face.radial_parts(gradient), 0.0)
-            np.divide(inwards, self.radius, out=kappa, where=face.slip)
+            zero = np.zeros_like(inwards)
+            kappa = np.divide(inwards, self.radius, out=zero, where=face.slip)
         return self.at_tangents(kappa)
 
     def scaled_discs(self, v: Array, factor: Array) -> Array:
@@ -349,7 +355,8 @@ class FrictionCones(FeasibleSet):
             weakens = cones.slopes(x)[1] < 0.0
             rests = (self.norms(target) <= bound_at_rest) & ~weakens
             cones = dataclasses.replace(self, slip=np.where(rests, 0.0, slip))
-        return dataclasses.replace(cones, coefficient=cones._coefficients(self.of_normals(x)))
+        coefficient = self.curves.coefficients(self.coefficient, self.of_normals(x), cones.slip)
+        return dataclasses.replace(cones, coefficient=coefficient)
 
     def linear_bounds(self) -> list[tuple[Array, Array]]:
         """Return c + F p and c + l, of which the least is the slip bound, as in `FeasibleSet`."""
@@ -359,9 +366,10 @@ class FrictionCones(FeasibleSet):
     def section(self, x: Array) -> FeasibleSet:
         """Return Lambda with the bounds at the pressures of x (size,) and the slips of the set."""
         pressure = self.of_normals(x)
-        radius = self._bound(pressure, self._coefficients(pressure))
-        rows = self.size, self.normal, self.tangential, self.node
-        return FeasibleSet(*rows, radius, self.normal_of)
+        coefficient = self.curves.coefficients(self.coefficient, pressure, self.slip)
+        grown = coefficient * np.maximum(pressure, 0.0)
+        g = self.radius + np.minimum(grown, self.limit)
+        return FeasibleSet(self.size, self.normal, self.tangential, self.node, g, self.normal_of)
 
     def slip_along(self, face: Face) -> Array:
         """Return the slips of slipping nodes as vectors (size,) along their tractions."""
@@ -391,10 +399,9 @@ class FrictionCones(FeasibleSet):
         diagonal[self.normal] = y[self.normal] > 0.0  # of nodes without a disc
         diagonal[normal > 0.0] = 0.0
         jacobian[1, 1] -= ratio
-        of_pressure, of_radius = (
-            self.at_normals(by_pressure) + self.scaled_discs(radial, by_radius)
-            for by_pressure, by_radius in jacobian
-        )
+        # the gradients dP and dR - R / q e
+        of_pressure = self.at_normals(jacobian[0, 0]) + self.scaled_discs(radial, jacobian[0, 1])
+        of_radius = self.at_normals(jacobian[1, 0]) + self.scaled_discs(radial, jacobian[1, 1])
         return self.nodal_matrix(diagonal, (normal, of_pressure), (radial, of_radius))
 
     def slopes(self, x: Array, where: Mask | bool = True) -> Array:
@@ -404,7 +411,7 @@ class FrictionCones(FeasibleSet):
         (n_discs,), and where F p reaches the limit l.
         """
         pressure = self.of_normals(x)
-        coefficient = self._coefficients(pressure)
+        coefficient = self.curves.coefficients(self.coefficient, pressure, self.slip)
         grows = where & (self.normal_of >= 0) & (coefficient * pressure < self.limit)
         # (F, 0) + p (dF/dp, dF/dv)
         result = np.array([coefficient, np.zeros_like(coefficient)])
@@ -414,21 +421,13 @@ class FrictionCones(FeasibleSet):
     def exceed_limit(self, x: Array) -> Mask:
         """Return for which discs (n_discs,) F p exceeds the limit l at x (size,)."""
         pressure = self.of_normals(x)
-        return np.asarray(self._coefficients(pressure) * pressure > self.limit)
+        coefficient = self.curves.coefficients(self.coefficient, pressure, self.slip)
+        return np.asarray(coefficient * pressure > self.limit)
 
     def curve_arguments(self, x: Array) -> list[CurveAtNodes]:
         """Return each curve with the pressures of x [stress] and the slips of the set [length]."""
         arguments = self.curves.arguments(self.of_normals(x), self.slip)
         return [(curve, pressure, slip) for _, curve, pressure, slip in arguments]
-
-    def _coefficients(self, pressure: Array) -> Array:
-        """Return F (n_discs,) at normal multipliers `pressure` (n_discs,), and at `self.slip`."""
-        return self.curves.coefficients(self.coefficient, pressure, self.slip)
-
-    def _bound(self, pressure: Array, coefficient: Array) -> Array:
-        """Return c + min(F p, l) (n_discs,) for the coefficients F and pressures p."""
-        grown = coefficient * np.maximum(pressure, 0.0)
-        return np.asarray(self.radius + np.minimum(grown, self.limit))
 
     def _nearest(self, y: Array) -> tuple[Array, Array, Array]:
         """Return the point of the set nearest to y (size,), in each node's (pressure, radius).
@@ -441,25 +440,30 @@ class FrictionCones(FeasibleSet):
             multipliers to their norm in y, 1 if that is zero; and the derivative (2, 2, n_discs)
             of pressure and radius with respect to their values in y.
         """
-        given, nodes = np.array([self.of_normals(y), self.norms(y)]), np.arange(len(self.radius))
-        grows = (self.normal_of >= 0) & np.isfinite(self.radius)
+        given = np.array([self.of_normals(y), self.norms(y)])  # (2, n_discs)
+        nodes = np.arange(len(self.radius))
         zero, unit = np.zeros(len(nodes)), np.ones(len(nodes))
+        grows = (self.normal_of >= 0) & np.isfinite(self.radius)
         F = np.where(grows, self.coefficient, zero)
-        hypot, end = np.hypot(unit, F), np.full_like(F, np.inf)  # pressure where the slope ends
-        np.divide(self.limit, F, out=end, where=F > 0.0)
+        hypot = np.hypot(unit, F)
+        # the pressure where the slope ends
+        end = np.divide(self.limit, F, out=np.full_like(F, np.inf), where=F > 0.0)
         # first points and unit vectors (edges, 2, nodes) of the edges, and lengths (edges, nodes)
         origins = np.array([[zero, zero], [zero, self.radius], [end, self.radius + self.limit]])
         directions = np.array([[zero, unit], [unit / hypot, F / hypot], [unit, zero]])
         lengths = np.array([self.radius, end * hypot, np.inf * unit])
         with np.errstate(invalid="ignore"):  # the distance of an edge at infinity is NaN
-            along = np.clip(((given - origins) * directions).sum(axis=1), 0.0, lengths)
+            along = ((given - origins) * directions).sum(axis=1)
+            along = np.clip(along, 0.0, lengths)
             feet = origins + along[:, None] * directions
             distances = np.linalg.norm(given - feet, axis=1)
-        edge = np.argmin(np.where(np.isnan(distances), np.inf, distances), axis=0)
-        inside = (given[0] >= 0.0) & (given[1] <= self._bound(given[0], self.coefficient))
+        distances[np.isnan(distances)] = np.inf
+        edge = np.argmin(distances, axis=0)  # the nearest one
+        grown = self.coefficient * np.maximum(given[0], 0.0)
+        bound = self.radius + np.minimum(grown, self.limit)
+        inside = (given[0] >= 0.0) & (given[1] <= bound)
         pressure, radius = np.where(inside, given, feet[edge, :, nodes].T)
-        ratio = np.ones_like(radius)
-        np.divide(radius, given[1], out=ratio, where=given[1] > 0.0)
+        ratio = np.divide(radius, given[1], out=np.ones_like(radius), where=given[1] > 0.0)
         # I inside of the set, t t' on an edge with the unit vector t, zero at a corner
         is_inner = ((along > 0.0) & (along < lengths))[edge, nodes]
         direction = np.where(is_inner, directions[edge, :, nodes].T, 0.0)

@@ -117,8 +117,19 @@ def inverse_limit(y: Array, step: Array) -> Array:
     root = np.sqrt(determinants(y))
     unit = y / root[:, None]
     along = (reflected(unit) * step).sum(axis=1)
-    across = step[:, 1:] - ((along + step[:, 0]) / (1.0 + unit[:, 0]))[:, None] * unit[:, 1:]
-    return np.asarray(np.maximum((np.linalg.norm(across, axis=1) - along) / root, 0.0))
+    factor = (along + step[:, 0]) / (1.0 + unit[:, 0])
+    across = step[:, 1:] - factor[:, None] * unit[:, 1:]
+    inverse = (np.linalg.norm(across, axis=1) - along) / root
+    return np.asarray(np.maximum(inverse, 0.0))
+
+
+def turned(v: Array, axis: Array) -> Array:
+    """Return v (m, 3) after the hyperbolic rotation that takes (1, 0, 0) to the axis (m, 3)."""
+    along = (axis[:, 1:] * v[:, 1:]).sum(axis=1)
+    factor = v[:, 0] + along / (1.0 + axis[:, 0])
+    result: Array = v + factor[:, None] * axis
+    result[:, 0] = axis[:, 0] * v[:, 0] + along
+    return result
 
 
 class Scaling:
@@ -128,39 +139,30 @@ class Scaling:
     (`determinants`): W^2 = s^2 (2 w w' - J) takes z to y, where J reflects y_1 and y_2.
 
     Attributes:
+        common: (m, 3) W z, which is W^-1 y.
         determinant: (m,) det (W z).
+        inverse_square: (m, 3, 3) W^-2.
     """
 
     def __init__(self, y: Array, z: Array) -> None:
         """Compute the maps for points y, z (m, 3) inside of the cones."""
         # with y and z scaled to determinant 1, w is (y + J z) / sqrt(2 + 2 y'z)
         det_y, det_z = determinants(y), determinants(z)
-        a, b = y / np.sqrt(det_y)[:, None], z / np.sqrt(det_z)[:, None]
-        mean = np.sqrt(0.5 + 0.5 * np.maximum((a * b).sum(axis=1), 1.0))
-        self._axis = (a + reflected(b)) / (2.0 * mean)[:, None]
+        unit_y, unit_z = y / np.sqrt(det_y)[:, None], z / np.sqrt(det_z)[:, None]
+        mean = np.sqrt(0.5 + 0.5 * np.maximum((unit_y * unit_z).sum(axis=1), 1.0))
+        axis = (unit_y + reflected(unit_z)) / (2.0 * mean)[:, None]
         self._size = ((det_y / det_z) ** 0.25)[:, None]
+        self.common = self._size * turned(z, axis)
         self.determinant = np.sqrt(det_y * det_z)
-
-    def _turned(self, v: Array, axis: Array) -> Array:
-        """Return v (m, 3) after the hyperbolic rotation that takes (1, 0, 0) to the axis (m, 3)."""
-        along = (axis[:, 1:] * v[:, 1:]).sum(axis=1)
-        turned: Array = v + (v[:, 0] + along / (1.0 + axis[:, 0]))[:, None] * axis
-        turned[:, 0] = axis[:, 0] * v[:, 0] + along
-        return turned
-
-    def apply(self, v: Array) -> Array:
-        """Return W v (m, 3)."""
-        return self._size * self._turned(v, self._axis)
+        # W^-1 is the rotation to J w, divided by s
+        self._inverse_axis = reflected(axis)
+        squares = 2.0 * self._inverse_axis[:, :, None] * self._inverse_axis[:, None]
+        blocks = squares - np.diag([1.0, -1.0, -1.0])
+        self.inverse_square = blocks / self._size[:, :, None] ** 2
 
     def invert(self, v: Array) -> Array:
         """Return W^-1 v (m, 3)."""
-        return self._turned(v, reflected(self._axis)) / self._size
-
-    def inverse_square(self) -> Array:
-        """Return W^-2 (m, 3, 3)."""
-        axis = reflected(self._axis)
-        blocks = 2.0 * axis[:, :, None] * axis[:, None] - np.diag([1.0, -1.0, -1.0])
-        return np.asarray(blocks / self._size[:, :, None] ** 2)
+        return turned(v, self._inverse_axis) / self._size
 
 
 def interior_point(
@@ -208,17 +210,19 @@ def interior_point(
     start_size = largest(np.linalg.norm(y, axis=1))
     if start_size == 0.0:  # no loads and constant bounds, or no cones
         return x, c
-    for point in (y, z):  # inside of the cones
-        point[:, 0] += start_size + largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
+    for point in (y, z):  # moved along the axes of the cones until it is inside of all
+        outside = largest(np.linalg.norm(point[:, 1:], axis=1) - point[:, 0])
+        point[:, 0] += start_size + outside
     count = float(reductions.total(np.array(float(len(y)))))
     complementarity = at_start = float(reductions.inner(y.ravel(), z.ravel())) / count
     centring = LARGEST_CENTRING
     for _ in range(MOST_STEPS):
         # the right-hand side s m v^-1 - v, since v^-1 is J v / det v
-        scaling, slip = Scaling(y, z), np.linalg.norm(z[:, 1:], axis=1)
-        v = scaling.apply(z)
+        scaling = Scaling(y, z)
+        v = scaling.common
         target = centring * complementarity / scaling.determinant[:, None] * reflected(v) - v
         # E, the derivative of z - o by z: H' ignores its first row in discs, o is 0 in half-lines
+        slip = np.linalg.norm(z[:, 1:], axis=1)
         E = identity.copy()
         E[:, 0, 1:] = -z[:, 1:] / slip.clip(np.finfo(float).tiny)[:, None]
         # insert dz = W^-1 (target - W^-1 dy), where dy = H dx + lacking, into
@@ -228,7 +232,7 @@ def interior_point(
         right = cone_map.transposed(np.einsum("mij,mj->mi", E, z + change))
         right -= model.apply(x) + r0 - G @ c
         soft = float(np.sqrt(complementarity / at_start))
-        blocks = E @ scaling.inverse_square()
+        blocks = E @ scaling.inverse_square
         dx, dc = solution(blocks, right, constraints.residual(x, c), soft)
         dy = cone_map.linear(dx) + lacking
         dz = scaling.invert(target - scaling.invert(dy))

@@ -21,13 +21,7 @@ from dolfinx_tresca.options import SolverOptions
 from dolfinx_tresca.solvers import paper
 from dolfinx_tresca.solvers.constraints import balance, norm
 from dolfinx_tresca.solvers.convergence import EXHAUSTED, History, NaturalResidual, Observe
-from dolfinx_tresca.solvers.problem import (
-    DualProblem,
-    DualSolution,
-    FrictionDeficit,
-    KnownProducts,
-    Point,
-)
+from dolfinx_tresca.solvers.problem import DualProblem, DualSolution, FrictionDeficit, Point
 from dolfinx_tresca.solvers.products import PRODUCT_ROUNDING, ProductStore, WholeModel
 from dolfinx_tresca.solvers.semismooth_newton import NewtonPoint, solve_model
 from dolfinx_tresca.status import ContactStatus
@@ -75,15 +69,11 @@ class Iterate:
         learned: whether the newest step has changed the model of A, or accuracies; True at first.
     """
 
-    x: Array
-    c: Array
-    r: Array
-    error: float
-
     def __init__(self, problem: DualProblem) -> None:
         """Begin at zero, where no product is needed. Not collective."""
-        self._problem, self.finest, self.learned = problem, 0.0, True
+        self._problem = problem
         self._is_exact = problem.compliance.exact
+        self.finest, self.learned = 0.0, True
         # the requested error of a gradient is the part `_part` of the last step's `_length`; the
         # solver for K does not reach less than `_least`
         self._part, self._length, self._least = FORCING, 0.0, 0.0
@@ -91,12 +81,13 @@ class Iterate:
 
     def return_to_zero(self) -> None:
         """Set the point to zero, where the gradient is -b. Not collective."""
-        b = self._problem.b
-        self.x, self.c, self.r = np.zeros_like(b), np.zeros(len(self._problem.constraints)), -b
-        self.error = self._problem.b_error
+        problem = self._problem
+        self.x, self.r = np.zeros_like(problem.b), -problem.b
+        self.c: Array = np.zeros(len(problem.constraints))
+        self.error = problem.b_error
 
     @property
-    def store(self) -> KnownProducts:
+    def store(self) -> ProductStore | WholeModel:
         """The known products with A, to which each step adds its product. Collective."""
         return self._problem.compliance.known_products()
 
@@ -106,75 +97,64 @@ class Iterate:
         return Point(self.x, self.c, self.r - self._problem.constraints.columns @ self.c)
 
     def move(self, direction: Array, c: Array) -> None:
-        """Take a step, or the part of it with the least q (`_part_to_take`). Collective.
+        """Take a step, or the part of it with the least q. Collective.
 
         The product of A with the whole step, the `direction` (size,), improves the model of A. The
         multipliers of the constraints become c (k,).
         """
         self.c = c
+        problem, store = self._problem, self.store
         if self._is_exact:
-            product, error = self._new_product(direction), self.error
-        elif float(self._problem.inner(direction, direction)) == 0.0:
+            # known products give A times a part of the step; A times what is left is computed, and
+            # kept (the product with the whole step, less that part, has rounding errors that grow)
+            pairs_before = len(store)
+            new, product = store.split(direction)
+            if float(problem.inner(new, new)) > 0.0:
+                new_product = problem.compliance.apply(new)
+                store.add(new, new_product)
+                product = product + new_product
+            self.learned = len(store) != pairs_before
+            error = self.error
+        elif float(problem.inner(direction, direction)) == 0.0:
             return
         else:
-            self._length = self._energy_norm(direction)
+            image = store.model().apply(direction)
+            self._length = float(np.sqrt(float(problem.inner(direction, image))))
             accuracy = max(self._part * self._length, self.finest)
             r, error = self._gradient(self.x + direction, accuracy)
             # the difference of gradients: errors of gradients do not accumulate over the steps
             product = r - self.r
-            self.learned = self.store.add(direction, product, error + self.error)
-            self._part = FORCING if self.learned else self._part
-        taken = self._part_to_take(direction, product)
-        self.x, self.r = self.x + taken * direction, self.r + taken * product
-        self.error = (1.0 - taken) * self.error + taken * error
-
-    def _new_product(self, direction: Array) -> Array:
-        """Return A times a step (size,), exact to rounding; set `learned`. Collective.
-
-        Known products give A times a part of the step; A times what is left is computed, and kept.
-        """
-        before, (new, product) = len(self.store), self.store.split(direction)
-        # (the product with the whole step, less the known part, has rounding errors that grow)
-        if float(self._problem.inner(new, new)) > 0.0:
-            added = self._problem.compliance.apply(new)
-            self.store.add(new, added)
-            product = product + added
-        self.learned = len(self.store) != before
-        return product
-
-    def _part_to_take(self, direction: Array, product: Array) -> float:
-        """Return the t <= 1 for which t d'r + t^2 / 2 d'A d, the change of q, is least. Collective.
-
-        A d is the `product`; t is 1 if q need not fall (`ModelNewton`) or falls by rounding only.
-        """
-        problem = self._problem
-        if not problem.admissible.has_given_bounds or len(problem.constraints) > 0:
-            return 1.0
-        slope = float(problem.inner(direction, self.r))
-        curvature = float(problem.inner(direction, product))
-        rounding = PRODUCT_ROUNDING * norm(problem, self.x) * norm(problem, self.r)
-        if -slope <= rounding or curvature <= 0.0:
-            return 1.0
-        return min(-slope / curvature, 1.0)
+            self.learned = store.add(direction, product, error + self.error)
+            if self.learned:
+                self._part = FORCING
+        # the t <= 1 with the least t d'r + t^2 / 2 d'A d, which is the change of q by the step t d;
+        # t = 1 if q need not fall (see `ModelNewton`), or falls by rounding only
+        t = 1.0
+        if problem.admissible.has_given_bounds and len(problem.constraints) == 0:
+            slope = float(problem.inner(direction, self.r))
+            curvature = float(problem.inner(direction, product))
+            rounding = PRODUCT_ROUNDING * norm(problem, self.x) * norm(problem, self.r)
+            is_rounding = -slope <= rounding or curvature <= 0.0
+            if not is_rounding:
+                t = min(-slope / curvature, 1.0)
+        self.x, self.r = self.x + t * direction, self.r + t * product
+        self.error = (1.0 - t) * self.error + t * error
 
     def set_point(self, x: Array) -> None:
         """Set the point to initial multipliers x (size,), and compute the gradient. Collective.
 
         No product is needed if known ones determine it, as where a former solve has ended at x.
         """
-        problem, b = self._problem, self._problem.b
-        product, error = self.store.product(x)
+        problem, store, b = self._problem, self.store, self._problem.b
+        product, error = store.product(x)
         relative = FULL_ACCURACY if self._is_exact else ROUGH
+        energy_norm = float(np.sqrt(float(problem.inner(x, store.model().apply(x)))))
         # with an accuracy below the error of b, products with tiny multipliers would be this error
-        wanted = max(relative * self._energy_norm(x), self.finest, problem.b_error)
+        wanted = max(relative * energy_norm, self.finest, problem.b_error)
         self.x, self.r, self.error = x, product - b, error + problem.b_error
         if self.error > wanted:
             self.r, self.error = problem.gradient(x, wanted)
-            self.store.add(x, self.r + b, self.error + problem.b_error)
-
-    def _energy_norm(self, x: Array) -> float:
-        """Return sqrt(x'M x) for x (size,), with the model M of A. Collective."""
-        return float(np.sqrt(float(self._problem.inner(x, self.store.model().apply(x)))))
+            store.add(x, self.r + b, self.error + problem.b_error)
 
     def _gradient(self, x: Array, accuracy: float) -> tuple[Array, float]:
         """Return A x - b and its error; remember an error that does not get less. Collective."""
@@ -185,9 +165,8 @@ class Iterate:
 
     def increase_accuracy(self) -> None:
         """Make gradient and products, or the model of a whole A, more accurate. Collective."""
-        store = self.store
-        if isinstance(store, WholeModel):
-            store.reduce_shift()
+        if isinstance(self.store, WholeModel):
+            self.store.reduce_shift()
         elif not self._is_exact and self._part >= FULL_ACCURACY:
             self._part *= FORCING
             self.finest *= FORCING
@@ -229,32 +208,33 @@ class ModelNewton:
 
     def run(self, start: Array) -> DualSolution:
         """Iterate until a status ends the iteration. Collective."""
-        self.compute_first_products()
-        solved_at_start = target = self.choose_start(start)
-        iterate = self.iterate
-        while (status := self.check_progress(target or iterate.point)) is None:
-            target, solved_at_start = solved_at_start or self.target(), None
-            iterate.move(target.x - iterate.x, target.c)
-            if (rho := self.proposed_rho()) < self.residual.rho:  # sigma_max was underestimated
-                self.residual.set_rho(rho)
-            progress = PROGRESS * self.history.residual_norms[-1]
-            if not (iterate.learned or self.residual.norm_at(iterate.point) < progress):
-                iterate.increase_accuracy()
-        solution = self.history.solution(iterate.point, status, iterate.error)
-        return dataclasses.replace(solution, deficit=self.deficit)
-
-    def compute_first_products(self) -> None:
-        """Drop inaccurate products; if none is known, compute one, to estimate sigma_max of A.
-
-        It is the product of b with the near field, if there is one, else with A. Collective.
-        """
-        store, b = self.problem.compliance.known_products(), self.problem.b
+        compliance, b = self.problem.compliance, self.problem.b
+        store = compliance.known_products()
         if isinstance(store, ProductStore):
             store.drop_inaccurate_pairs()
-            if store.largest_eigenvalue_estimate == 0.0 and store.near is not None:
-                store.near.add(b, store.apply_near(b))
-            elif store.largest_eigenvalue_estimate == 0.0:
-                store.add(b, self.problem.compliance.apply(b))
+            # an estimate of sigma_max needs a product: that of b with the near field, else with A
+            if store.largest_eigenvalue_estimate == 0.0:
+                if store.near is not None:
+                    store.near.add(b, store.apply_near(b))
+                else:
+                    store.add(b, compliance.apply(b))
+        target = self.choose_start(start)
+        iterate, residual = self.iterate, self.residual
+        status = self.check_progress(target or iterate.point)
+        while status is None:
+            if target is None:
+                target = self.target()
+            iterate.move(target.x - iterate.x, target.c)
+            rho = self.options.step_factor / (iterate.store.largest_eigenvalue_estimate or 1.0)
+            if rho < residual.rho:  # sigma_max was underestimated
+                residual.set_rho(rho)
+            progress = PROGRESS * self.history.residual_norms[-1]
+            if not (iterate.learned or residual.norm_at(iterate.point) < progress):
+                iterate.increase_accuracy()
+            status = self.check_progress(target)
+            target = None  # the next step needs a new one, as the model has changed
+        solution = self.history.solution(iterate.point, status, iterate.error)
+        return dataclasses.replace(solution, deficit=self.deficit)
 
     def choose_start(self, start: Array) -> NewtonPoint | None:
         """Set `iterate`, `residual`, `history`; return what `find_constraint_multipliers` returns.
@@ -267,11 +247,13 @@ class ModelNewton:
         problem, constraints = self.problem, self.problem.constraints
         # the scale of residuals, at zero; b is computed again if its error might hide a pressure
         self.iterate = iterate = Iterate(problem)
-        self.residual = residual = NaturalResidual(problem, self.proposed_rho())
+        # (1 takes the place of an estimate that is zero)
+        rho = self.options.step_factor / (iterate.store.largest_eigenvalue_estimate or 1.0)
+        self.residual = residual = NaturalResidual(problem, rho)
         if residual.zero_is_undecided(iterate.error):
             problem.refine_b()
             iterate.return_to_zero()
-            self.residual = residual = NaturalResidual(problem, residual.rho, iterate.error)
+            self.residual = residual = NaturalResidual(problem, rho, iterate.error)
         self.history = History(problem, self.options, self.observe, residual)
         # the start moves to the nearest feasible multipliers that balance the loads e; soft springs
         # keep the forces S c that they have at the start
@@ -290,7 +272,8 @@ class ModelNewton:
         # a start whose residual is larger than that of zero
         if residual.norm_at(iterate.point) > residual.scale:
             if problem.is_load_step and not problem.admissible.has_given_bounds:
-                residual.raise_scale(iterate.r + problem.b)  # the scale is at least |A x|
+                residual.least_scale = norm(problem, iterate.r + problem.b)  # |A x|
+                residual.scale = max(residual.scale, residual.least_scale)
             else:
                 iterate.return_to_zero()
                 residual.set_constraint_multipliers(iterate.c)
@@ -319,13 +302,11 @@ class ModelNewton:
 
         The step leads to P(x - rho (r - G c)) = P(y + G z), with y = x - rho r and z = rho c.
         """
-        problem, x, r, rho = self.problem, self.iterate.x, self.iterate.r, self.residual.rho
-        y, section = x - rho * r, problem.section_at(x, r)
-        return np.asarray(balance(problem.constraints, section, y, 1.0 / rho).shift / rho)
-
-    def proposed_rho(self) -> float:
-        """Return rho of the natural residual from the estimate of sigma_max, or 1 for sigma_max."""
-        return self.options.step_factor / (self.iterate.store.largest_eigenvalue_estimate or 1.0)
+        x, r, rho = self.iterate.x, self.iterate.r, self.residual.rho
+        y = x - rho * r
+        section = self.problem.section_at(x, r)
+        z = balance(self.problem.constraints, section, y, 1.0 / rho).shift
+        return np.asarray(z / rho)
 
     def check_progress(self, target: Point) -> ContactStatus | None:
         """Return the status with which the iteration ends at the present point, or None.
@@ -337,16 +318,16 @@ class ModelNewton:
         iterate, history, residual = self.iterate, self.history, self.residual
         if not self.problem.compliance.exact:
             # a more accurate gradient is worth its price where the iterate may be the last one
-            *_, may_end = history.reached(iterate.point, 0.0, residual.norm_at(iterate.point))
-            iterate.refine(history.tolerable_error(iterate.point) if may_end else np.inf)
+            _, _, may_end = history.reached(iterate.point, 0.0, residual.norm_at(iterate.point))
+            accuracy = history.tolerable_error(iterate.point) if may_end else np.inf
+            iterate.refine(accuracy)
         if (status := history.check_convergence(iterate.point, iterate.error)) is not None:
             return status
         # nothing moves and nothing is learned, or there is no progress for long
         norms = history.residual_norms[-2:]
         is_same = abs(np.diff(norms)).sum() <= ROUGH * norms[-1]
-        stalls = (is_same and not iterate.learned) or history.is_idle(
-            PATIENCE, PROGRESS, self.completed_at
-        )
+        is_idle = history.is_idle(PATIENCE, PROGRESS, self.completed_at)
+        stalls = is_idle or (is_same and not iterate.learned)
         may_be_rounding = norms[-1] <= EXHAUSTED * max(residual.scale, residual.terms)
         is_slow = history.is_idle(SHORT_PATIENCE, 0.5, self.completed_at) and not may_be_rounding
         model_fails = self.misses >= MISSES
@@ -355,11 +336,22 @@ class ModelNewton:
         if not stalls and not (model_fails and isinstance(self.iterate.store, WholeModel)):
             return None
         # without a solution: find the cause, where bounds depend on the pressure
-        if not self.problem.admissible.has_given_bounds:
-            self.deficit = friction_deficit(self.problem, target)
-            if self.deficit is not None or not may_be_rounding:
+        if self.problem.admissible.has_given_bounds:
+            return ContactStatus.STAGNATED
+        constraints = self.problem.constraints
+        section = self.problem.section_at(target.x, target.r)
+        if len(constraints) > 0:
+            balanced = balance(constraints, section)
+            if not balanced.satisfied:
+                # the shift has grown along a rigid motion, with a work e'z of the loads above the
+                # sum of g |G z|, the work of friction
+                motion = balanced.shift / np.linalg.norm(balanced.shift)
+                own_friction = section.dissipation(constraints.columns @ motion)  # on this rank
+                friction = float(self.problem.reductions.total(np.array(own_friction)))
+                load = float(constraints.values @ motion)
+                self.deficit = FrictionDeficit(motion, load, friction)
                 return ContactStatus.NO_FIXED_POINT
-        return ContactStatus.STAGNATED
+        return ContactStatus.STAGNATED if may_be_rounding else ContactStatus.NO_FIXED_POINT
 
     def complete_products(self) -> bool:
         """Compute A unless it is known or too large; return whether it was computed. Collective."""
@@ -376,21 +368,3 @@ class ModelNewton:
         target = solve_model(self.problem, self.iterate.point, self.residual, tolerance)
         self.misses = 0 if target.is_solved else self.misses + 1
         return target
-
-
-def friction_deficit(problem: DualProblem, point: Point) -> FrictionDeficit | None:
-    """Return the rigid motion that friction is too weak to stop, for an error message. Collective.
-
-    The slip bounds g are those of the point. The result is None if no body floats, or if some
-    multipliers with these bounds satisfy the constraints. Otherwise the shift z of `balance` grows
-    along a rigid motion whose work of loads e'z exceeds the sum of g |G z|, the work of friction.
-    """
-    constraints, section = problem.constraints, problem.section_at(point.x, point.r)
-    if len(constraints) == 0:
-        return None
-    balanced = balance(constraints, section)
-    if balanced.satisfied:
-        return None
-    motion = balanced.shift / np.linalg.norm(balanced.shift)
-    friction = problem.reductions.total(np.array(section.dissipation(constraints.columns @ motion)))
-    return FrictionDeficit(motion, float(constraints.values @ motion), float(friction))

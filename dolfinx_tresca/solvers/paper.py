@@ -87,10 +87,8 @@ def gimssn(run: Run) -> DualSolution:
             moved = projected + change
             outside = moved - feasible_set.project(moved)
             # rounding alone may move the traction of a slipping node off its circle
-            return bool(
-                problem.inner(outside, outside)
-                <= np.finfo(float).eps ** 2 * problem.inner(moved, moved)
-            )
+            square = problem.inner(outside, outside)
+            return bool(square <= np.finfo(float).eps ** 2 * problem.inner(moved, moved))
 
         # CG steps of `active` multipliers (`Face`), while all others stay
         active, r = feasible_set.face(run.target).active, run.r + product

@@ -64,7 +64,8 @@ class NodalMaps:
         of a disc. If bounds are given, `cones` are Lambda, and Q and L are zero.
         """
         stiffness = np.minimum(stiffness, STIFFEST * diagonal)
-        weight, radial, free = np.reciprocal(diagonal + stiffness), face.radial, face.free
+        weight = np.reciprocal(diagonal + stiffness)
+        radial, free = face.radial, face.free
         slope, by_slip = cones.slopes(x, face.slip)
         # `inverse`: with D for M, P s = P a / (D + C), and t's = (g' n's + h t'a) / (1 + h D)
         damping = 1.0 + by_slip * cones.disc_means(diagonal)
@@ -241,11 +242,6 @@ class ProductStore:
         self.errors: Array = np.empty(0)
         self._largest = 0.0  # largest Rayleigh quotient of new parts so far
 
-    @property
-    def diagonal(self) -> Array:
-        """The estimate (size,) of diag(A), with the factor `scale`."""
-        return self.scale * self._diagonal
-
     def __len__(self) -> int:
         """Return the number of pairs."""
         return int(self.W.shape[1])
@@ -262,7 +258,19 @@ class ProductStore:
         error = float(np.hypot(error, PRODUCT_ROUNDING * np.sqrt(max(energy, 0.0))))
         if energy <= 0.0:
             return False
-        coefficients, new, new_product = self._without_known(x, product)
+        # the new part, A-orthogonal to W: exact pairs need two passes of the Gram-Schmidt process;
+        # the second removes the rounding errors of the first. Pairs with errors are not orthonormal
+        # and need more passes: else parts along known pairs would remain and be added as new pairs,
+        # until there are more pairs than unknowns
+        new, new_product = x, product
+        coefficients: Array = np.zeros(len(self))
+        for number in range(MOST_STEPS):
+            along = inner(self.Y, new)
+            energy_left = max(float(inner(new, new_product)), 0.0)
+            if number >= 2 and np.linalg.norm(along) <= 16.0 * ROUNDING * np.sqrt(energy_left):
+                break
+            new, new_product = new - self.W @ along, new_product - self.Y @ along
+            coefficients = coefficients + along
         error = float(np.hypot(error, np.linalg.norm(self.errors * coefficients)))
         new_energy = float(inner(new, new_product))
         if new_energy <= (RESOLVED * error) ** 2:
@@ -291,28 +299,9 @@ class ProductStore:
         computed with diag(A) in place of A.
         """
         new, product = self.split(x)
-        inner = self._reductions.inner
+        inner, diagonal = self._reductions.inner, self.scale * self._diagonal
         error = np.linalg.norm(self.errors * inner(self.Y, x))
-        return product, float(np.hypot(error, np.sqrt(inner(new, self.diagonal * new))))
-
-    def _without_known(self, x: Array, product: Array) -> tuple[Array, Array, Array]:
-        """Return a (pairs,), x - W a and A (x - W a); x - W a is A-orthogonal to W. Collective.
-
-        Exact pairs need two passes of the Gram-Schmidt process; the second removes the rounding
-        errors of the first. Pairs with errors are not orthonormal and need more passes. If the
-        process always ended after two passes, parts along known pairs would remain and be added as
-        new pairs, until there are more pairs than unknowns.
-        """
-        inner = self._reductions.inner
-        coefficients: Array = np.zeros(len(self))
-        for number in range(MOST_STEPS):
-            along = inner(self.Y, x)
-            energy = max(float(inner(x, product)), 0.0)
-            if number >= 2 and np.linalg.norm(along) <= 16.0 * ROUNDING * np.sqrt(energy):
-                break
-            x, product = x - self.W @ along, product - self.Y @ along
-            coefficients = coefficients + along
-        return coefficients, x, product
+        return product, float(np.hypot(error, np.sqrt(inner(new, diagonal * new))))
 
     def _append(self, new: Array, product: Array, error: float, energy: float) -> None:
         """Keep the new part of a pair, divided by the root of its energy. Collective.
@@ -351,24 +340,12 @@ class ProductStore:
         least = self._reductions.from_first_rank(values / np.square(1.0 + 2.0 * errors))
         return max(float(least.max()), near_estimate)
 
-    def apply_with_near(self, x: Array) -> Array:
-        """Return M x (size,) for the model M based on the near field D itself. Collective.
-
-        With the part v of x that is A-orthogonal to W, M x is A (x - v) + (I - Y W') D v. The
-        product D v is kept.
-        """
-        assert self.near is not None
-        new, product = self.split(x)
-        image = self.apply_near(new)
-        self.near.add(new, image)
-        return product + image - self.Y @ self._reductions.inner(self.W, image)
-
     def model(self, base: BlockBFGSModel | None = None) -> BlockBFGSModel:
         """Return the model of A: the diagonal, updated with all pairs. Collective.
 
         A model of the near field, given as `base`, takes the place of the diagonal.
         """
-        return BlockBFGSModel(self._reductions, self.diagonal, self.W, self.Y, base)
+        return BlockBFGSModel(self._reductions, self.scale * self._diagonal, self.W, self.Y, base)
 
 
 #: Shift that `WholeModel` adds to the diagonal of A at first, divided by the compliance of nodes

@@ -95,6 +95,14 @@ class SemismoothNewton:
     collective, and need no product with A.
 
     Attributes:
+        mean_diagonal: (size,) D, with its mean in each friction disc.
+        rho: (size,) step lengths of the active sets.
+        softness: what the first step adds to S, see `step`.
+        constraint_scale: (k,) sums of G^2 / D, by which `energy` divides squared residuals of the
+            constraints; 1 for a constraint without multipliers.
+        load: the norm `energy` of the loads: of rho b, the change of zero multipliers by a gradient
+            step, and of e. It is the measure of accuracies that do not depend on a guess.
+        rounding: residual that counts as rounding, `ROUNDING` times the load.
         goes_on: whether A is known whole, or bodies float: then steps go on to rounding (`SOLVED`).
     """
 
@@ -103,11 +111,15 @@ class SemismoothNewton:
         self.problem, self.model = problem, model
         self.mean_diagonal = problem.admissible.mean_over_discs(model.model_diagonal)
         self.rho = np.asarray(RHO_DIAGONAL / self.mean_diagonal)
-        ones, G = np.ones_like(self.mean_diagonal), problem.constraints.columns
-        total, size = (float(problem.inner(ones, v)) for v in (self.mean_diagonal, ones))
-        self.softness = PROXIMAL * size / total if total > 0.0 else 0.0  # of the first step
-        scale = problem.inner(G * G, 1.0 / self.mean_diagonal)  # (k,) sums of G^2 / D
+        # `PROXIMAL`, divided by the mean of D over all ranks
+        ones = np.ones_like(self.mean_diagonal)
+        total = float(problem.inner(ones, self.mean_diagonal))
+        size = float(problem.inner(ones, ones))
+        self.softness = PROXIMAL * size / total if total > 0.0 else 0.0
+        G = problem.constraints.columns
+        scale = problem.inner(G * G, 1.0 / self.mean_diagonal)
         self.constraint_scale = np.where(scale > 0.0, scale, 1.0)
+        # (`energy` uses the scale of the constraints)
         self.load = self.energy(self.rho * problem.b, problem.constraints.values)
         self.rounding = ROUNDING * self.load
         self.goes_on = isinstance(model, WholeModel) or len(problem.constraints) > 0
@@ -142,14 +154,12 @@ class SemismoothNewton:
         # the step begins at the point of the face
         settled = section.on_face(x, face)
         r = r + self.model.apply(settled - x)
-        diagonal, stiffness = self.model.diagonal, section.circle_stiffness(r, face)
-        change, change_c = self.model.solve_on_face(
-            NodalMaps.on_face(admissible, settled, face, diagonal, stiffness),
-            -r - admissible.slip_along(face),  # such that L multiplies the change of slip
-            constraints.columns,
-            constraints.softness_with(softness),
-            constraints.residual(settled, point.c),
-        )
+        stiffness = section.circle_stiffness(r, face)
+        maps = NodalMaps.on_face(admissible, settled, face, self.model.diagonal, stiffness)
+        right = -r - admissible.slip_along(face)  # such that L multiplies the change of slip
+        S = constraints.softness_with(softness)
+        missing = constraints.residual(settled, point.c)
+        change, change_c = self.model.solve_on_face(maps, right, constraints.columns, S, missing)
         return settled + change - x, change_c
 
     def solve(
@@ -162,9 +172,13 @@ class SemismoothNewton:
         - at a solution; but if A is known whole or there are constraints, only once a step from it
           makes no progress, or the residual is rounding; or
         - after `PATIENCE` steps without progress, or after `most_steps` steps.
+
+        Of each step, the longest part 4^-n is taken with which the residual falls enough; if there
+        is none with n <= `MOST_CUTS`, the part with the least residual is taken.
         """
         point = best = start
         softness, idle = self.softness, 0
+        # the residual at which steps end even while they make progress
         least = ROUNDING * start.residual if self.goes_on else tolerance
         # whole steps reach the solution sooner if supports hold the bodies
         whole_steps = 0 if self.goes_on else SHORT_PATIENCE
@@ -180,27 +194,23 @@ class SemismoothNewton:
             promised = self.energy(np.zeros_like(dx), unbalanced)
             # a tenth of the promised decrease, as PROGRESS is 0.9
             wanted = PROGRESS * point.residual + (1.0 - PROGRESS) * promised + self.rounding
-            point = self._part_of_step(point, dx, dc, wanted, 0 if is_whole else MOST_CUTS)
+            # the end of the longest part with the wanted residual, else that with the least one
+            dr = self.model.apply(dx) - self.problem.constraints.columns @ dc
+            trials = []
+            for cuts in range(1 if is_whole else MOST_CUTS + 1):
+                t = 0.25**cuts
+                trial = self.point(point.x + t * dx, point.c + t * dc, point.r + t * dr)
+                trials.append(trial)
+                if trial.residual <= wanted:
+                    break
+            else:
+                trial = min(trials, key=lambda candidate: candidate.residual)
+            point = trial
             softness *= SOFTER if point.residual > wanted else 1.0 / SOFTER
             idle = 0 if point.residual < PROGRESS * best.residual else idle + 1
-            best = min(best, point, key=lambda candidate: candidate.residual)
+            if point.residual < best.residual:
+                best = point
         return best
-
-    def _part_of_step(
-        self, point: NewtonPoint, dx: Array, dc: Array, wanted: float, most_cuts: int
-    ) -> NewtonPoint:
-        """Return the end of the longest part 4^-n of a step where the residual is at most `wanted`.
-
-        If there is none with n <= `most_cuts`, the end with the least residual is returned.
-        """
-        dr = self.model.apply(dx) - self.problem.constraints.columns @ dc
-        trials = []
-        for cuts in range(most_cuts + 1):
-            t = 0.25**cuts
-            trials.append(self.point(point.x + t * dx, point.c + t * dc, point.r + t * dr))
-            if trials[-1].residual <= wanted:
-                return trials[-1]
-        return min(trials, key=lambda trial: trial.residual)
 
 
 def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonPoint:
@@ -230,8 +240,11 @@ def newton_solution(problem: DualProblem, model: Model, start: Point) -> NewtonP
         if is_lost or point.residual > (tolerance if is_far else enough):
             for interior in interior_guesses(newton, model, guess):
                 end = newton.solve(interior, tolerance)
-                point = end if end.residual < max(point.residual, is_lost * enough) else point
-                if (end if is_lost else point).residual <= enough:
+                accepted = max(point.residual, enough) if is_lost else point.residual
+                if end.residual < accepted:
+                    point = end
+                newest = end if is_lost else point
+                if newest.residual <= enough:
                     break
     # the point in the cones to which the residual belongs (`SemismoothNewton.point`)
     x = problem.admissible.at_point(point.x, point.r).project(point.x)
@@ -289,8 +302,12 @@ def solve_model(
         step = end.x - point.x
         if float(problem.inner(step, step)) == 0.0:
             break
-        change = store.apply_with_near(step) - G @ (end.c - point.c)
-        end = replace(end, r=point.r + change)
+        # M times the step: with its part v that is A-orthogonal to W, A (step - v) + (I - Y W') D v
+        v, product = store.split(step)
+        near_product = store.apply_near(v)
+        store.near.add(v, near_product)
+        product = product + near_product - store.Y @ problem.inner(store.W, near_product)
+        end = replace(end, r=point.r + (product - G @ (end.c - point.c)))
         if (reached := residual.norm_at(end)) < least:
             best, least = end, reached
         if least <= tolerance or not end.is_solved:
