@@ -387,7 +387,7 @@ class ContactSystem(PetscOwner):
         reason (`sliding`) already are not checked. Only the last configuration of finite sliding is
         checked: in earlier ones, surfaces from afar may lie deep inside other bodies.
         """
-        scene_checks.hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
+        scene_checks.hint_at_overlap(solution, self.pairs, self.jump)
         status = solution.status
         if status in CHECKED and not solution.sliding:
             state = self.state
@@ -396,7 +396,7 @@ class ContactSystem(PetscOwner):
             if not self.linear.is_tangent:
                 departures += scene_checks.motions_of_bodies(solution.deformation, self.bodies)
             departures += scene_checks.motions_of_pairs(
-                self.jump, self.pairs, solution.u, state.geometry, solution.multipliers, motions
+                self.jump, self.pairs, solution, state.geometry, motions
             )
             reason = scene_checks.reason_outside(self.comm, departures, self._noticed)
             if reason:

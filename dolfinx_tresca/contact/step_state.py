@@ -116,9 +116,7 @@ class StepState:
     def undeformed(cls, jump: JumpOperator, motions: Array) -> StepState:
         """Return the state of undeformed bodies without load. Collective."""
         zeros, at_rest = np.zeros(len(jump.gap)), fem.Function(jump.system.V)
-        accepted = AcceptedStep(
-            multipliers=zeros, unknowns=None, displacement=None, motions=motions, configuration=None
-        )
+        accepted = AcceptedStep(zeros, None, None, motions, configuration=None)
         return cls(jump, SlipHistory.none(jump), zeros, motions, at_rest, at_rest, accepted)
 
     def started_at(self, multipliers: Array) -> StepState:
@@ -160,9 +158,8 @@ class StepState:
 
     def with_status(self, status: ContactStatus) -> StepState:
         """Return the state in which the last solve, if any, ended with a status. Not collective."""
-        if self.solution is None:
-            return self
-        return replace(self, solution=replace(self.solution, status=status))
+        solution = None if self.solution is None else replace(self.solution, status=status)
+        return replace(self, solution=solution)
 
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which the next solve of the user begins. Collective.
