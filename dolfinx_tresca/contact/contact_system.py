@@ -77,8 +77,7 @@ class ContactSystem(PetscOwner):
     ) -> None:
         """Pair the surfaces, choose the solver for K, and assemble and factor K. Collective."""
         free_unused(linear.comm)  # objects of earlier problems that were not destroyed
-        self.linear, self.pairs, self.comm = linear, pairs, linear.comm
-        self._destroyed = False
+        self.linear, self.pairs, self.comm, self._destroyed = linear, pairs, linear.comm, False
         self._noticed: set[scene_checks.Limit] = set()  # limits of theory that the log has named
         self._finite_sliding = np.array([pair.sliding == "finite" for pair in pairs], np.bool_)
         self.slides_far = bool(self._finite_sliding.any())
@@ -175,9 +174,8 @@ class ContactSystem(PetscOwner):
     def solved(self) -> StepSolution | None:
         """The last solution; None if K or the pairing has changed since, or nothing was solved."""
         solution = self._state.solution
-        if solution is None or solution.dual.compliance is not self.compliance:
-            return None
-        return solution
+        valid = solution is not None and solution.dual.compliance is self.compliance
+        return solution if valid else None
 
     @property
     def state(self) -> StepState:
@@ -436,8 +434,7 @@ class ContactSystem(PetscOwner):
             self.align_tangents(bounds)
             self.update_gaps()
             compliance, jump, state = self.compliance, self.jump, self.state
-            products_before = compliance.products
-            krylov_before = compliance.solver.krylov_iterations
+            products_before, krylov = compliance.products, compliance.solver.krylov_iterations
             history = self.history_of_solve()
             obstacle_moves = (state.accepted.motions != state.motions).any(axis=(1, 2))
             tools = self.obstacles.tools(jump, self.bodies, state.history.begun)
@@ -481,7 +478,7 @@ class ContactSystem(PetscOwner):
             units=units,
             iterations=dual_solution.iterations,
             products=products,
-            krylov_iterations=compliance.solver.krylov_iterations - krylov_before,
+            krylov_iterations=compliance.solver.krylov_iterations - krylov,
             residuals=dual_solution.residuals,
             q=dual_solution.q,
             timings=dict(zip(timings, slowest, strict=True)),
@@ -523,11 +520,9 @@ class ContactSystem(PetscOwner):
             motion.x.array[:] /= greatest or 1.0  # it is zero if tools alone move
             error.motion = motion
             raise
-        if dual.equilibrium is None:
-            return dual
         for pair in self.pairs:
             curve = pair.friction.terms.curve
-            if curve is not None and curve.depends_on_slip:
+            if dual.equilibrium is not None and curve is not None and curve.depends_on_slip:
                 raise InputError(
                     f"contact pair {pair}: the coefficient of friction depends on the slip, and "
                     "contact or soft springs hold a body, whose slip is not known in the "

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
@@ -103,11 +103,10 @@ class SavedState:
                 self._content = _read(path)
                 # numbers of pairs, and of components of each Function, as in the problem?
                 components = [space.dofmap.index_map_bs for space in spaces]
-                saved = [
-                    values.shape[1]
-                    for name, values in self._content.items()
-                    if name.startswith("function") and name.endswith("values")
-                ]
+                saved = []
+                for name, values in self._content.items():
+                    if name.startswith("function") and name.endswith("values"):
+                        saved.append(values.shape[1])
                 saved_pairs = len(self._content["motions"])
                 if saved != components or saved_pairs != pairs:
                     raise InputError(
@@ -141,8 +140,12 @@ class SavedState:
             if places_of_ranks is not None:
                 nodes = np.concatenate(places_of_ranks)
                 saved = self._content.get(f"{table}/{PLACES}", np.zeros((0, nodes.shape[1])))
-                rows = same_nodes(saved, nodes)
-                if rows is None:
+                same = saved.shape == nodes.shape
+                if same:  # each node is at the place of a row, and each row at that of a node
+                    extent = float(np.ptp(nodes, axis=0).max() if len(nodes) > 1 else 1.0)
+                    rows = KDTree(saved).query(nodes, distance_upper_bound=SAME_PLACE * extent)[1]
+                    same = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(saved)
+                if not same:
                     raise InputError(
                         f"the state in '{self._path}' is of another mesh, of another degree or of "
                         f"other pairs: its {table} has {len(saved)} nodes or points, the problem "
@@ -170,18 +173,16 @@ class SavedState:
                     "last accepted displacement."
                 )
         # of each contact node the pressure (1), the traction (d) and the slip origin (d)
-        rows = [
-            self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
-            for k, pair in enumerate(jump.pairs)
-        ]
+        rows = []
+        for k, pair in enumerate(jump.pairs):
+            places = _contact_places(pair, self._places)
+            rows.append(self._rows(f"pair {k}", places)["values"])
         dim = jump.system.V.mesh.geometry.dim
         tractions = jump.components([values[:, : 1 + dim] for values in rows])
         origin = jump.components([values[:, dim:] for values in rows])
         origin[~jump.is_tangential] = 0.0  # the column that is no component of it
-        slipped = tuple(
-            self._nodes.get(f"slip of pair {k}", zeros)
-            for k, zeros in enumerate(SlipHistory.none(jump).slipped)
-        )
+        zeros = SlipHistory.none(jump).slipped
+        slipped = tuple(self._nodes.get(f"slip of pair {k}", x) for k, x in enumerate(zeros))
         origin = origin / jump.length_scale
         history = SlipHistory(origin, slipped, float(self._dissipation), begun=bool(self._begun))
         displacements: list[fem.Function | None] = []  # None: the process had none to save
@@ -268,13 +269,3 @@ def surroundings(V: Any) -> Array:
     # the last column counts the cells around a node, none around one that no cell has
     sums = summed_at_nodes(V.dofmap.index_map, nodes, of_cells)[:own]
     return np.hstack([points[:own], sums[:, :-1] / np.maximum(sums[:, -1:], 1.0)])
-
-
-def same_nodes(saved: Array, asked: Array) -> Indices | None:
-    """Return for each node `asked` its row (n,) in a file by `surroundings`; None: nodes differ."""
-    if saved.shape != asked.shape:
-        return None
-    accuracy = SAME_PLACE * float(np.ptp(asked, axis=0).max() if len(asked) > 1 else 1.0)
-    rows: Indices = KDTree(saved).query(asked, distance_upper_bound=accuracy)[1]
-    matched = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(saved)
-    return rows if matched else None

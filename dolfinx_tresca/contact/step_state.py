@@ -116,7 +116,7 @@ class StepState:
     def undeformed(cls, jump: JumpOperator, motions: Array) -> StepState:
         """Return the state of undeformed bodies without load. Collective."""
         zeros, at_rest = np.zeros(len(jump.gap)), fem.Function(jump.system.V)
-        accepted = AcceptedStep(zeros, None, None, motions, configuration=None)
+        accepted = AcceptedStep(zeros, None, None, motions, None)
         return cls(jump, SlipHistory.none(jump), zeros, motions, at_rest, at_rest, accepted)
 
     def started_at(self, multipliers: Array) -> StepState:
@@ -179,8 +179,7 @@ class StepState:
     def with_tangents_of(self, jump: JumpOperator) -> StepState:
         """Return the state on a B with other tangents at the same nodes. Not collective."""
         carry = Carry(self.jump, jump)
-        origin = carry.jumps(self.history.origin)
-        return self._on(jump, carry, replace(self.history, origin=origin))
+        return self._on(jump, carry, origin=carry.jumps(self.history.origin))
 
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
         """Return the state on the B of surfaces displaced by u [length]. Collective.
@@ -200,15 +199,15 @@ class StepState:
         for counts_anew, own in zip(since_accepted, jump.own_rows, strict=True):
             if counts_anew and not own.operators.bonded:
                 origin[own.tangential] = accepted_jump[own.tangential]
-        return self._on(jump, carry, replace(self.history, origin=origin))
+        return self._on(jump, carry, origin)
 
-    def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
-        """Return the state on another B with a history, the same tractions and no solution."""
+    def _on(self, jump: JumpOperator, carry: Carry, origin: Array) -> StepState:
+        """Return the state on another B, with its slip origin, the same tractions, no solution."""
         accepted = carry.multipliers(self.accepted.multipliers)
         return replace(
             self,
             jump=jump,
-            history=history,
+            history=replace(self.history, origin=origin),
             multipliers=carry.multipliers(self.multipliers),
             accepted=replace(self.accepted, multipliers=accepted),
             continues=False,

@@ -196,8 +196,7 @@ def evaluate(
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
     pressures = np.maximum(stress[~B.is_tangential], 0.0)
-    peaks = largest_abs(comm, pressures, lengths[pressed], paths[pressed])
-    peak_pressure, greatest_slip, greatest_total_slip = peaks
+    peak, greatest, longest = largest_abs(comm, pressures, lengths[pressed], paths[pressed])
     primal, dual_energy = dual.energies(x, solved, c, error)
     if B.frames is not None:  # the work of loads on the rigid motions of the frames
         work = B.frames.work(B.system.assemble_forces())
@@ -216,9 +215,9 @@ def evaluate(
         total_dissipation=history.dissipation,
         pair_states=tuple(map(PairState, pressed_counts, node_counts, pair_openings)),
         body_names=bodies.names,
-        peak_pressure=peak_pressure,
-        greatest_slip=greatest_slip,
-        greatest_total_slip=greatest_total_slip,
+        peak_pressure=peak,
+        greatest_slip=greatest,
+        greatest_total_slip=longest,
         reactions={},
         **nodal_results,
         **energy_errors(dual, Point(x, c, r), error + missing, estimated),
@@ -276,10 +275,9 @@ def forces_on(
     # on linear bodies without frames, forces act at the undeformed places
     displaced = u if B.frames is not None or B.system.is_tangent else None
     on_bodies = nodal_resultants(V, owned_values(on_nodes), displaced, bodies.label, bodies.count)
-    on_secondary = [
-        -force[:, :1] * pair.normals - force[:, 1:]
-        for pair, force in zip(operators, forces, strict=True)
-    ]
+    on_secondary = []
+    for pair, force in zip(operators, forces, strict=True):
+        on_secondary.append(-force[:, :1] * pair.normals - force[:, 1:])
     places = np.vstack([pair.places for pair in operators])
     index = np.repeat(np.arange(len(forces)), [len(force) for force in forces])
     all_forces, point = np.vstack(on_secondary), on_bodies[0].point

@@ -114,8 +114,7 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     modes = bodies.rigid_modes(dim)
     normal_equations = sums.sparse_inner(modes, modes).tocsc()
     amounts = spsolve(normal_equations, sums.inner(modes, values.ravel()))
-    rotations = amounts.reshape(bodies.count, -1)[:, dim:]
-    angle = np.linalg.norm(rotations, axis=1) / diagonal
+    angle = np.linalg.norm(amounts.reshape(bodies.count, -1)[:, dim:], axis=1) / diagonal
     beyond = values - (modes @ amounts).reshape(-1, dim)
     own_strain = np.zeros(bodies.count)
     np.maximum.at(own_strain, label, np.linalg.norm(beyond, axis=1) / diagonal[label])
@@ -154,9 +153,8 @@ def motions_of_pairs(
     since_pairing.x.array[:] -= geometry.x.array
     vectors, stresses = jump.vectors(since_pairing), jump.nodal_vectors(solution.multipliers)
     straight_u = straightened(V, geometry.x.array.reshape(-1, V.dofmap.index_map_bs))
-    for pair, operators, jumps, stress, motion in zip(
-        pairs, jump.pairs, vectors, stresses, motions, strict=True
-    ):
+    per_pair = zip(pairs, jump.pairs, vectors, stresses, motions, strict=True)
+    for pair, operators, jumps, stress, motion in per_pair:
         if pair.obstacle is not None:
             start, end = pair.obstacle.motion, RigidMotion.from_matrix(motion)
             angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
@@ -241,9 +239,8 @@ def hint_at_overlap(solution: Evaluation, pairs: Sequence[ContactPair], jump: Ju
     comm, points = jump.comm, solution.u.function_space.tabulate_dof_coordinates()
     rounding = ROUNDING * largest_abs(comm, points)[0]
     closings = jump.closings(solution.u)
-    for pair, operators, closing, surface in zip(
-        pairs, jump.pairs, closings, solution.surfaces, strict=True
-    ):
+    per_pair = zip(pairs, jump.pairs, closings, solution.surfaces, strict=True)
+    for pair, operators, closing, surface in per_pair:
         if pair.obstacle is not None and surface.obstacle is not None:
             carried = _carried(operators.places, pair.obstacle.motion, surface.obstacle.motion)
             closing -= dots(carried, operators.normals)
