@@ -118,8 +118,7 @@ class SavedState:
                     )
         names = "laws", "motions", "numbers"
         header = self._comm.bcast([self._content.get(name) for name in names])
-        self._laws, self.motions, numbers = header
-        self._dissipation, self._begun, step = numbers
+        self._laws, self.motions, (self._dissipation, self._begun, step) = header
         self.step = int(step)
         self._places = surroundings(system.V)
         self._nodes = self._rows("nodes", self._places)

@@ -107,17 +107,16 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     the largest displacement beyond this motion, which divided by its diagonal is its strain.
     """
     sums = RankReductions(u.function_space.mesh.comm)
-    values, label = owned_values(u), bodies.label
-    dim = values.shape[1]
+    values, dim = owned_values(u), u.function_space.dofmap.index_map_bs
     diagonal = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
     # the rigid motion of each body by least squares; a rotation has the angle 1 / diagonal
     modes = bodies.rigid_modes(dim)
     normal_equations = sums.sparse_inner(modes, modes).tocsc()
     amounts = spsolve(normal_equations, sums.inner(modes, values.ravel()))
     angle = np.linalg.norm(amounts.reshape(bodies.count, -1)[:, dim:], axis=1) / diagonal
-    beyond = values - (modes @ amounts).reshape(-1, dim)
+    beyond = np.linalg.norm(values - (modes @ amounts).reshape(-1, dim), axis=1)
     own_strain = np.zeros(bodies.count)
-    np.maximum.at(own_strain, label, np.linalg.norm(beyond, axis=1) / diagonal[label])
+    np.maximum.at(own_strain, bodies.label, beyond / diagonal[bodies.label])
     strain = reduce_array(sums.comm, own_strain, MPI.MAX)
     # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
     angle[angle <= 2.0 * strain] = 0.0
