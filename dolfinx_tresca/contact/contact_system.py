@@ -233,7 +233,7 @@ class ContactSystem(PetscOwner):
                 for pair in self.jump.pairs:  # pairs of a group are paired together
                     numbers = list(pair.undeformed.group.numbers)
                     anew[numbers] = anew[numbers].any()
-                since_accepted = finite & anew  # pairs whose slip then counts from the step
+                since_accepted = finite & anew  # pairs whose slip counts from the accepted step
                 with timed("pairing", self.timings):
                     frames = self.jump.frames
                     if since_accepted.any() and self.frames_at_rest is not None:

@@ -122,9 +122,9 @@ class Obstacles:
                 name, force = f"bolt {pair}", preload.value
                 motions.append(FreeMotion(name, "overlap", [number], along, np.zeros(3), force))
                 continue
-            given = None if obstacle is None else obstacle.given_forces
-            if obstacle is None or given is None:
+            if obstacle is None or obstacle.given_forces is None:
                 continue
+            given = obstacle.given_forces
             if pair.sliding == "finite":
                 raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")
             numbers = [k for k, primary in enumerate(self._obstacles) if primary is obstacle]

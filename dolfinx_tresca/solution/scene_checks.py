@@ -216,7 +216,8 @@ def hint_at_scene(
             nodes = nodes[nodes < V.dofmap.index_map.size_local]
             counts.append(np.bincount(bodies.label[nodes], minlength=bodies.count))
         touches = reduce_array(comm, counts) > 0  # (sides, bodies)
-        if len(touches) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
+        touched = touches.any(axis=0)  # (bodies,)
+        if len(sides) == 2 and touched.sum() == 1 and not pair.touches_itself:
             warn(
                 comm,
                 "both sides of %s are on body %d: it touches itself. If these should be two "
@@ -224,7 +225,7 @@ def hint_at_scene(
                 *(pair, 1 + int(touches[0].argmax())),
             )
         depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
-        if depth >= thickness[touches.any(axis=0)].min(initial=np.inf):
+        if depth >= thickness[touched].min(initial=np.inf):
             warn(
                 comm,
                 "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
@@ -237,8 +238,7 @@ def hint_at_overlap(solution: Evaluation, pairs: Sequence[ContactPair], jump: Ju
     """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
     comm, points = jump.comm, solution.u.function_space.tabulate_dof_coordinates()
     rounding = ROUNDING * largest_abs(comm, points)[0]
-    closings = jump.closings(solution.u)
-    per_pair = zip(pairs, jump.pairs, closings, solution.surfaces, strict=True)
+    per_pair = zip(pairs, jump.pairs, jump.closings(solution.u), solution.surfaces, strict=True)
     for pair, operators, closing, surface in per_pair:
         if pair.obstacle is not None and surface.obstacle is not None:
             carried = _carried(operators.places, pair.obstacle.motion, surface.obstacle.motion)
