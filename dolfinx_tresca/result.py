@@ -232,7 +232,8 @@ class ContactSolution(Evaluation, Tabulated):
             point: (d,) reference point of the moment [length], by default as in `body_resultants`.
 
         Raises:
-            InputError: an index belongs to no body, both are equal, or the point is not finite.
+            InputError: no body has an index or a name, both bodies are equal, or the point does
+                not have d finite coordinates.
         """
         names, indices = self.body_names, []
         for given in (body, other):
@@ -248,10 +249,11 @@ class ContactSolution(Evaluation, Tabulated):
         if i == j:
             raise InputError(f"forces are between two bodies, found {shown(body)} twice.")
         whole = self.body_resultants[0]
-        none = Resultant(0.0 * whole.force, 0.0 * whole.moment, whole.point)
-        between = self.between_bodies.get((min(i, j), max(i, j)), none)
+        no_force = Resultant(0.0 * whole.force, 0.0 * whole.moment, whole.point)
+        # the resultant on the body with the lower index; on the other body it is opposite
+        on_lower = self.between_bodies.get((min(i, j), max(i, j)), no_force)
         sign = 1.0 if i < j else -1.0
-        on_body = Resultant(sign * between.force, sign * between.moment, between.point)
+        on_body = Resultant(sign * on_lower.force, sign * on_lower.moment, on_lower.point)
         return on_body.about(whole.point if point is None else point)
 
     def raise_if_failed(self) -> None:
@@ -352,10 +354,11 @@ class ContactSolution(Evaluation, Tabulated):
     def report(self, path: str | Path, *, steps: Sequence[ContactSolution] = ()) -> None:
         """Write a report: one HTML page, which needs neither a server nor a network. Collective.
 
-        It has the table of the solution; a picture with the pairs that have the largest forces, at
-        most 8; a graph of the forces between bodies; tables of the load steps and the problem; the
-        last warnings, the versions of all software, and the script. The first rank needs pyvista
-        and matplotlib, as for `plot`.
+        It has the table of the solution; a picture of the bodies and of at most 8 pairs, those with
+        the largest forces; a graph of the forces between bodies, unless there are more than 24;
+        tables of the load steps, if `steps` are given, and of the problem; the last 20 warnings of
+        the first rank, versions of software, and the script. The first rank needs pyvista and
+        matplotlib, as for `plot`.
 
         Args:
             path: the `.html` file; the first rank's path counts.
@@ -364,7 +367,7 @@ class ContactSolution(Evaluation, Tabulated):
         Raises:
             InputError: the path does not end in .html, `steps` are no solutions, or the file cannot
                 be written.
-            ContactError: there is no pyvista or matplotlib.
+            ContactError: there is no pyvista or matplotlib, or VTK would need a display.
         """
         with errors_on_all_ranks(self.comm):
             if self.comm.rank == 0 and Path(path).suffix != ".html":
@@ -381,19 +384,22 @@ class ContactSolution(Evaluation, Tabulated):
 
     def _rows(self) -> list[Row]:
         """Return the rows of the table; phases of less than a twentieth of the time are omitted."""
-        converged = self.status is ContactStatus.CONVERGED
+        rows = [("status", self.status.name)]
+        if self.status is not ContactStatus.CONVERGED:
+            rows = [("status", f"{self.status.name}: {self.status.value}")]
+        if self.sliding:
+            rows.append(("sliding", self.sliding))
         work = f"{self.iterations}, {self.products} products with A"
         if self.krylov_iterations:
             work += f", {self.krylov_iterations} Krylov iterations"
+        if self.iterations == 0:
+            work += "; nothing to do"
         total = sum(self.timings.values())
-        phases = [
-            f"{name} {value:.2f}" for name, value in self.timings.items() if value > 0.05 * total
-        ]
+        phases = [f"{name} {x:.2f}" for name, x in self.timings.items() if x > 0.05 * total]
         return [
-            ("status", self.status.name + ("" if converged else f": {self.status.value}")),
-            *([("sliding", self.sliding)] if self.sliding else []),
+            *rows,
             ("method", self.options.method),
-            ("iterations", work if self.iterations else f"{work}; nothing to do"),
+            ("iterations", work),
             ("residual", f"{self.residuals[-1]:.1e} relative"),
             *error_rows(self),
             ("requested", self.options.target),

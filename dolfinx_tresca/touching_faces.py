@@ -183,7 +183,8 @@ def _faces(V: Any, facet_tags: Any) -> dict[int, _Face]:
     owned = mesh.topology.index_map(dim).size_local
     result: dict[int, _Face] = {}
     shared_tags = []
-    for tag in sorted(set().union(*comm.allgather(set(np.unique(facet_tags.values).tolist())))):
+    own_tags = set(np.unique(facet_tags.values).tolist())
+    for tag in sorted(set().union(*comm.allgather(own_tags))):
         facets = facet_tags.find(tag)
         facets = facets[facets < owned]
         nodes = fem.locate_dofs_topological(V, dim, facets, remote=False)

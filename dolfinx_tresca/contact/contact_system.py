@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import compress
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -89,8 +88,9 @@ class ContactSystem(PetscOwner):
         if linear.comm.rank == 0:
             warn_of_slow_blas()
         check_tags(pairs, V.mesh)
-        cell_tags = (pair.cell_tags for pair in pairs if pair.cell_tags is not None)
-        self.stiffness = HeldStiffness(linear, next(cell_tags, None), request)
+        # those of any pair: they name bodies in messages
+        cell_tags = [pair.cell_tags for pair in pairs if pair.cell_tags is not None]
+        self.stiffness = HeldStiffness(linear, cell_tags[0] if cell_tags else None, request)
         self.bodies = self.stiffness.bodies
         self.obstacles = Obstacles(V, pairs)
         with timed("pairing", self.timings):
@@ -143,7 +143,8 @@ class ContactSystem(PetscOwner):
         """Return the gaps (n,) [length] of users and bolts at each pair's nodes. Collective."""
         gaps = []
         for pair, operators in zip(self.pairs, self.jump.pairs, strict=True):
-            gap, name = 0.0 if pair.gap is None else pair.gap, f"the gap of contact pair {pair}"
+            gap = 0.0 if pair.gap is None else pair.gap
+            name = f"the gap of contact pair {pair}"
             gaps.append(self.friction.values.values_at(gap, operators.nodes, name)[:, 0])
         # the sides of a cut bolt may overlap by their relative motion along the cut's mean normal
         for number, (_, axis) in self.obstacles.bolts(self.jump).items():
@@ -214,15 +215,31 @@ class ContactSystem(PetscOwner):
 
         Pairs with finite sliding are paired at `configuration` [length], others at `geometry`;
         None: where they are already. After a `PairingError` all are paired as before the call.
+        With finite sliding, the slip of a node becomes its displacement since the last accepted
+        step, relative to its present partner and projected onto its tangent plane.
         """
-        state, moves, finite = self.state, self.record_motions(), self._finite_sliding
+        state, finite = self.state, self._finite_sliding
+        moves = self.record_motions()  # (pairs,)
         configuration = state.configuration if configuration is None else configuration
         geometry = state.geometry if geometry is None else geometry
         pairings = (state.geometry, geometry, ~finite), (state.configuration, configuration, finite)
         try:
-            for before, u, pairs in pairings:
+            for before, u, candidates in pairings:
                 differs = not (u is before or np.array_equal(u.x.array, before.x.array))
-                self._pair_anew(u, pairs & (moves | self.comm.allreduce(differs, op=MPI.LOR)))
+                differs_on_a_rank = self.comm.allreduce(differs, op=MPI.LOR)
+                anew = candidates & (moves | differs_on_a_rank)  # (pairs,)
+                if not anew.any():
+                    continue
+                for pair in self.jump.pairs:  # pairs of a group are paired together
+                    numbers = list(pair.undeformed.group.numbers)
+                    anew[numbers] = anew[numbers].any()
+                since_accepted = finite & anew  # pairs whose slip counts from the accepted step
+                with timed("pairing", self.timings):
+                    frames = self.jump.frames
+                    if since_accepted.any() and self.frames_at_rest is not None:
+                        frames = self.frames_at_rest.moved_with(u)
+                    jump = displaced_jump(self.jump, self.pairs, u, anew, frames)
+                    self._replace_jump(jump, self._state.paired_at(jump, u, since_accepted))
         except PairingError:
             self.return_to(state)
             raise
@@ -236,9 +253,10 @@ class ContactSystem(PetscOwner):
         friction the log warns that this is no slip, unless it has Constants. Collective.
         """
         changed, motions = self.obstacles.changed(self.jump), self.obstacles.motions
-        same_place = (self._state.motions == motions).all(axis=(1, 2))
+        same_place = (self._state.motions == motions).all(axis=(1, 2))  # (pairs,)
         self._state = replace(self._state, motions=motions)
-        for pair in compress(self.pairs, changed & same_place):
+        for number in np.flatnonzero(changed & same_place):
+            pair = self.pairs[number]
             has_no_constants = pair.obstacle is not None and not pair.obstacle.constants
             if has_no_constants and not isinstance(pair.friction, Frictionless):
                 warn(
@@ -248,25 +266,6 @@ class ContactSystem(PetscOwner):
                     pair,
                 )
         return changed
-
-    def _pair_anew(self, u: fem.Function, anew: Mask) -> None:
-        """Pair the surfaces of the pairs in the mask `anew` (pairs,), displaced by u. Collective.
-
-        With finite sliding, the slip of a node becomes its displacement since the last accepted
-        step, relative to its present partner and projected onto its tangent plane.
-        """
-        if not anew.any():
-            return
-        for pair in self.jump.pairs:  # pairs of a group are paired together
-            numbers = list(pair.undeformed.group.numbers)
-            anew[numbers] = anew[numbers].any()
-        with timed("pairing", self.timings):
-            since_accepted = self._finite_sliding & anew
-            frames = self.jump.frames
-            if since_accepted.any() and self.frames_at_rest is not None:
-                frames = self.frames_at_rest.moved_with(u)
-            jump = displaced_jump(self.jump, self.pairs, u, anew, frames)
-            self._replace_jump(jump, self._state.paired_at(jump, u, since_accepted))
 
     def _replace_jump(self, jump: JumpOperator, state: StepState) -> None:
         """Replace B and the state; destroy the old B and what depends on it. Collective."""
@@ -287,8 +286,8 @@ class ContactSystem(PetscOwner):
 
     def gaps_at_nodes(self, u: fem.Function) -> Array:
         """Return gaps (pairs, owned nodes) [length], NaN where N has no row. Collective."""
-        jump = self.jump
-        return self._at_nodes((jump.gap - jump.of_displacement(u)) * jump.length_scale, np.nan)
+        gaps = (self.jump.gap - self.jump.of_displacement(u)) * self.jump.length_scale
+        return self._at_nodes(gaps, np.nan)
 
     def normal_forces_at_nodes(self) -> Array:
         """Return normal forces [force] (pairs, owned nodes), 0 at open nodes. Not collective."""
@@ -297,9 +296,10 @@ class ContactSystem(PetscOwner):
     def _at_nodes(self, values: Array, default: float) -> Array:
         """Return (pairs, owned nodes) with the values (size,) of normal rows, else `default`."""
         result = np.full((len(self.pairs), self.linear.V.dofmap.index_map.size_local), default)
-        # on a sharp edge, where a node has several normal rows, the last of them counts
         for of_pair, rows in zip(result, self.jump.own_rows, strict=True):
-            of_pair[rows.operators.nodes[rows.operators.normal_node]] = values[rows.normal]
+            nodes = rows.operators.nodes[rows.operators.normal_node]  # of each normal row
+            # on a sharp edge, where a node has several normal rows, the last of them counts
+            of_pair[nodes] = values[rows.normal]
         return result
 
     def contact_forces(self, multipliers: Array | None = None) -> Array:
@@ -361,10 +361,10 @@ class ContactSystem(PetscOwner):
                 f"{purpose} needs a solution, and the last solve ended with {solved.status.name}."
             )
         self.linear.assemble_load()
-        same = all(map(np.array_equal, self.law_values(solved.curves), solved.laws))
-        same &= np.array_equal(self.linear.f.x.array, solved.load)
-        same &= not self.obstacles.changed(self.jump).any()
-        if not self.comm.allreduce(same, op=MPI.LAND):
+        same_laws = all(map(np.array_equal, self.law_values(solved.curves), solved.laws))
+        same_load = np.array_equal(self.linear.f.x.array, solved.load)
+        same_obstacles = not self.obstacles.changed(self.jump).any()
+        if not self.comm.allreduce(same_laws and same_load and same_obstacles, op=MPI.LAND):
             raise inputs_changed(purpose)
 
     @contextmanager
@@ -385,16 +385,16 @@ class ContactSystem(PetscOwner):
         reason (`sliding`) already are not checked. Only the last configuration of finite sliding is
         checked: in earlier ones, surfaces from afar may lie deep inside other bodies.
         """
-        scene_checks.hint_at_overlap(solution.u, self.pairs, self.jump, solution.surfaces)
+        scene_checks.hint_at_overlap(solution, self.pairs, self.jump)
         status = solution.status
         if status in CHECKED and not solution.sliding:
-            state, tractions, v = self.state, solution.multipliers, solution.deformation
+            state = self.state
             motions = self.obstacles.motions if state.solution is None else state.solution.motions
             departures: list[scene_checks.Departure] = []
             if not self.linear.is_tangent:
-                departures += scene_checks.motions_of_bodies(v, self.bodies)
+                departures += scene_checks.motions_of_bodies(solution.deformation, self.bodies)
             departures += scene_checks.motions_of_pairs(
-                self.jump, self.pairs, solution.u, state.geometry, tractions, motions
+                self.jump, self.pairs, solution, state.geometry, motions
             )
             reason = scene_checks.reason_outside(self.comm, departures, self._noticed)
             if reason:
@@ -444,9 +444,10 @@ class ContactSystem(PetscOwner):
         with timed("iteration", timings):
             dual_solution = solve(dual, state.multipliers, options, observe)
         with timed("fields", timings):
-            scene = self.secondary, self.bodies
-            evaluation, history = evaluate(dual, *scene, dual_solution, estimate=options.balanced)
-        # what the state keeps of this solve, for `accept`, later checks and derivatives
+            evaluation, history = evaluate(
+                dual, self.secondary, self.bodies, dual_solution, estimate=options.balanced
+            )
+        x = dual_solution.multipliers
         status = status_of_fields(dual, dual_solution, evaluation, options, requested)
         curves = self._checked_curves(dual, dual_solution)
         load, laws = self.linear.f.x.array.copy(), self.law_values(curves)  # for `check_inputs`
@@ -460,16 +461,17 @@ class ContactSystem(PetscOwner):
             for surface, motion in zip(evaluation.surfaces, motions, strict=True):
                 if surface.obstacle is not None:
                     surface.obstacle.motion = RigidMotion.from_matrix(motion)
-        # timings of the slowest rank
-        timings = dict(zip(timings, largest_abs(self.comm, *timings.values()), strict=True))
-        multipliers, products = dual_solution.multipliers, compliance.products - products_before
-        results = status, dual, multipliers, evaluation, history, curves, load, laws
-        solution = StepSolution(*results, obstacle_moves, motions)
-        state = replace(state, multipliers=multipliers, dissipation=evaluation.dissipation)
+        # what the state keeps of this solve, for `accept`, later checks and derivatives
+        solution = StepSolution(
+            status, dual, x, evaluation, history, curves, load, laws, obstacle_moves, motions
+        )
+        state = replace(state, multipliers=x, dissipation=evaluation.dissipation)
         self.state = replace(state, solution=solution, pending=True)
+        products = compliance.products - products_before
         text = "%s: %s after %d iterations, %d products, residual %.2e"
         numbers = dual_solution.iterations, products, dual_solution.residuals[-1]
         log(self.comm, text, options.method, status.value, *numbers)
+        slowest = largest_abs(self.comm, *timings.values())  # seconds of the slowest rank
         return ContactSolution(
             status=status,
             options=requested,
@@ -479,7 +481,7 @@ class ContactSystem(PetscOwner):
             krylov_iterations=compliance.solver.krylov_iterations - krylov,
             residuals=dual_solution.residuals,
             q=dual_solution.q,
-            timings=timings,
+            timings=dict(zip(timings, slowest, strict=True)),
             sliding=sliding,
             problem_rows=self.rows(units),
             bolts=self.obstacles.bolt_forces(jump, evaluation.pair_resultants),
@@ -487,17 +489,19 @@ class ContactSystem(PetscOwner):
         )
 
     def _checked_curves(self, dual: DualProgram, solution: DualSolution) -> list[CurveAtNodes]:
-        """Return friction curves with a solution's pressures and slips, checked. Collective."""
+        """Return friction curves with the pressures and slips of a solution. Collective.
+
+        Curves are checked there, and the log warns if they decrease (`hint_at_weakening`).
+        """
         x = solution.multipliers
         cones = dual.admissible.at_point(x, solution.gradient)
         if not isinstance(cones, FrictionCones) or not cones.curves.of_discs:
             return []
         arguments = cones.curve_arguments(x)
-        for curve in arguments:
-            self.friction.check_curve(*curve)
-        scene_checks.hint_at_weakening(
-            self.comm, cones, x, dual.compliance.known_products().largest_eigenvalue_estimate
-        )
+        for curve, pressures, slips in arguments:
+            self.friction.check_curve(curve, pressures, slips)
+        eigenvalue = dual.compliance.known_products().largest_eigenvalue_estimate
+        scene_checks.hint_at_weakening(self.comm, cones, x, eigenvalue)
         return arguments
 
     def _program(
@@ -516,9 +520,9 @@ class ContactSystem(PetscOwner):
             motion.x.array[:] /= greatest or 1.0  # it is zero if tools alone move
             error.motion = motion
             raise
-        for pair in () if dual.equilibrium is None else self.pairs:
+        for pair in self.pairs:
             curve = pair.friction.terms.curve
-            if curve is not None and curve.depends_on_slip:
+            if dual.equilibrium is not None and curve is not None and curve.depends_on_slip:
                 raise InputError(
                     f"contact pair {pair}: the coefficient of friction depends on the slip, and "
                     "contact or soft springs hold a body, whose slip is not known in the "

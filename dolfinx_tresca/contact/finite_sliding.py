@@ -112,46 +112,46 @@ class FiniteSliding:
         self.configurations, self.snaps, self.error = 1, False, math.inf
 
     def observe(self, u: fem.Function) -> None:
-        """Record the solution u in the present configuration; estimate its error. Collective."""
+        """Record the solution u in the present configuration; estimate its error. Collective.
+
+        Forces are compared in the Euclidean norm, gaps by their largest change (see `SMALL_STEP`).
+        Changes within the rounding of stresses and positions count as zero.
+        """
         contact, w = self._contact, self._contact.state.configuration.x.array.copy()
         forces, gaps = contact.contact_forces(), contact.gaps_at_nodes(u)
-        (square,) = self._products(u.x.array - w, [u.x.array - w])
+        residual = u.x.array - w
+        (square,) = self._products(residual, [residual])
         self.error = math.inf
         if self._path:
             former = self._path[-1]
             self._grows = self._grows + 1 if square > former.square else 0
-            change = self._relative_change(former, forces, gaps, u)
+            # forces: squares of the norms of their change, of themselves, and of their rounding
+            multiplier_rounding = contact.compliance.stress_rounding / contact.jump.stress_scale
+            force_rounding = contact.contact_forces(np.asarray(multiplier_rounding))
+            vectors = forces - former.forces, forces, force_rounding
+            squares = reduce_array(contact.comm, [float(values @ values) for values in vectors])
+            force_change = _root_of_ratio(*squares)
+            # gaps: their largest change, the displacement it is divided by, and its rounding
+            changes = np.nan_to_num(gaps - former.gaps)  # 0 at nodes without a multiplier
+            accepted = contact.state.accepted.displacement
+            moved = u.x.array - (0.0 if accepted is None else accepted.x.array)
+            largest, length, displaced = largest_abs(contact.comm, changes, moved, u.x.array)
+            length = max(length, SMALL_STEP * displaced)
+            resolution = ROUNDING * (contact.obstacles.extent + displaced)
+            gap_change = _root_of_ratio(largest**2, length**2, resolution**2)
             # the ratio of |u - w| to the last step of w, which has caused the change; it is large
-            # if Anderson's acceleration hardly moves w. The sum of all further changes is
-            # change (ratio + ratio^2 + ...)
-            (step,) = self._products(w - former.w, [w - former.w])
-            ratio = _root_of_ratio(square, max(step, ROUNDING**2 * square))
+            # if Anderson's acceleration hardly moves w
+            step = w - former.w
+            (step_square,) = self._products(step, [step])
+            ratio = _root_of_ratio(square, max(step_square, ROUNDING**2 * square))
             ratio = max(ratio, LEAST_FRACTION)
-            self.error = change * ratio / (1.0 - _inside(ratio))
+            # the sum of all further changes, change (ratio + ratio^2 + ...)
+            change = max(force_change, gap_change)
+            self.error = change * ratio / (1.0 - min(ratio, 1.0 - LEAST_FRACTION))
         normal_forces = contact.normal_forces_at_nodes()
         self._path.append(Configuration(w, u.x.array.copy(), normal_forces, forces, gaps, square))
         text = "finite sliding: configuration %d, error of forces or gaps about %.0e"
         log(contact.comm, text, self.configurations, self.error)
-
-    def _relative_change(
-        self, former: Configuration, forces: Array, gaps: Array, u: fem.Function
-    ) -> float:
-        """Return the larger relative change, of forces or of gaps, since a `former` configuration.
-
-        Forces are compared in the Euclidean norm, gaps by their largest change (see `SMALL_STEP`).
-        Changes within the rounding of stresses and positions count as zero. Collective.
-        """
-        contact, accepted = self._contact, self._contact.state.accepted.displacement
-        multiplier_rounding = contact.compliance.stress_rounding / contact.jump.stress_scale
-        force_rounding = contact.contact_forces(np.asarray(multiplier_rounding))
-        force_vectors = forces - former.forces, forces, force_rounding
-        squares = reduce_array(contact.comm, [float(values @ values) for values in force_vectors])
-        gap_change = np.nan_to_num(gaps - former.gaps)  # 0 where a configuration has no multiplier
-        step = u.x.array - (0.0 if accepted is None else accepted.x.array)
-        largest, length, displaced = largest_abs(contact.comm, gap_change, step, u.x.array)
-        length = max(length, SMALL_STEP * displaced)
-        resolution = ROUNDING * (contact.obstacles.extent + displaced)
-        return max(_root_of_ratio(*squares), _root_of_ratio(largest**2, length**2, resolution**2))
 
     def pair_first_configuration(self) -> None:
         """Pair the surfaces in the first configuration of a load step. Collective.
@@ -162,16 +162,26 @@ class FiniteSliding:
         moved in the last step, like the rollers of a bearing.
         """
         contact, state = self._contact, self._contact.state
-        linear, origin, at_rest = contact.linear, state.configuration, contact.frames_at_rest
-        frames, v = contact.jump.frames, origin
+        linear, at_rest, frames = contact.linear, contact.frames_at_rest, contact.jump.frames
+        v = origin = state.configuration
         if at_rest is not None:
             linear.frames = None  # for prescribed values in space
             values, held = linear.prescribed_values(), origin.copy()
             accepted, before = state.accepted.displacement, state.accepted.before
             if accepted is not None and before is not None:
-                fraction = self._part_of_last_motion(values, before, accepted)
-                if fraction != 0.0:
-                    held = at_rest.continued(before, accepted, fraction)
+                # the multiple of their last motion by which free bodies go on is that of the
+                # prescribed values: their change, projected on their last change
+                begin = before.x.array[: len(linear.prescribed)][linear.prescribed]
+                reached = accepted.x.array[: len(linear.prescribed)][linear.prescribed]
+                last_step, present_step = reached - begin, values - reached
+                rounding = ROUNDING * np.abs(reached).max(initial=0.0)
+                present_step[np.abs(present_step) <= rounding] = 0.0
+                products = [float(last_step @ last_step), float(last_step @ present_step)]
+                square, product = reduce_array(contact.comm, products)
+                multiple = product / square if square > 0.0 else 0.0
+                multiple = float(np.clip(multiple, -1.0, MOST_CONTINUED))
+                if multiple != 0.0:
+                    held = at_rest.continued(before, accepted, multiple)
             held.x.array[: len(linear.prescribed)][linear.prescribed] = values
             held.x.scatter_forward()
             # the frames in which the response is computed, until B has them by a new pairing
@@ -187,19 +197,6 @@ class FiniteSliding:
         if step > ROUNDING * (contact.obstacles.extent + displaced):
             contact.pair_where_changed(w)
 
-    def _part_of_last_motion(
-        self, values: Array, before: fem.Function, accepted: fem.Function
-    ) -> float:
-        """Return the multiple of their last motion by which free bodies go on. Collective."""
-        prescribed = self._contact.linear.prescribed
-        begin, reached = (u.x.array[: len(prescribed)][prescribed] for u in (before, accepted))
-        last_step, present_step = reached - begin, values - reached
-        present_step[np.abs(present_step) <= ROUNDING * np.abs(reached).max(initial=0.0)] = 0.0
-        # the multiple is that of prescribed values: their change, projected on the last change
-        products = [float(last_step @ last_step), float(last_step @ present_step)]
-        square, product = reduce_array(self._contact.comm, products)
-        return float(np.clip(product / square, -1.0, MOST_CONTINUED)) if square > 0.0 else 0.0
-
     def pair_next_configuration(self) -> None:
         """Pair the surfaces in the next configuration. Collective."""
         w = fem.Function(self._contact.linear.V)
@@ -209,17 +206,26 @@ class FiniteSliding:
 
     def _next(self) -> Array:
         """Return the next displacement w, with ghosts; the class explains the cases. Collective."""
-        *earlier, newest = self._path
+        earlier, newest = self._path[:-1], self._path[-1]
         u, w, residual = newest.u, newest.w, newest.u - newest.w
-        # the first w is a guess, without the new contact forces, or lies before a snap
-        alike = [configuration for configuration in earlier[1:] if self._alike(configuration)]
+        # configurations that are `ALIKE` the newest; not the first of all, whose w is a guess,
+        # without the new contact forces, or lies before a snap
+        alike: list[Configuration] = []
+        for configuration in earlier[1:]:
+            differs = (newest.normal_forces > 0.0) != (configuration.normal_forces > 0.0)
+            forces = newest.normal_forces + configuration.normal_forces
+            sums = [float(forces[differs].sum()), float(forces.sum())]
+            changed_force, whole_force = reduce_array(self._contact.comm, sums)
+            if changed_force <= ALIKE * whole_force:
+                alike.append(configuration)
         if len(earlier) > 1 and (not alike or alike[-1] is not earlier[-1]):
             # the last step has crossed a kink: do the residuals u - w at its ends point at each
             # other? A positive product with the step points on along it, a negative one back.
             before = earlier[-1]
             onwards, backwards = self._products(w - before.w, [before.u - before.w, residual])
             if onwards > 0.0 > backwards:
-                fraction = _inside(onwards / (onwards - backwards))  # where u - w crosses zero
+                fraction = onwards / (onwards - backwards)  # where u - w crosses zero
+                fraction = min(max(fraction, LEAST_FRACTION), 1.0 - LEAST_FRACTION)
                 return np.asarray((1.0 - fraction) * before.u + fraction * u)
         if not alike:
             return u
@@ -238,24 +244,18 @@ class FiniteSliding:
         With r = u - w of the last configuration, and the changes dr and du of r and u between
         successive ones as columns, it is u - du a. Here dr'dr a = dr'r: a minimises |r - dr a|.
         """
-        newest, changes = path[-1], list(pairwise(path))
-        residual_changes = np.array([b.u - b.w - (a.u - a.w) for a, b in changes])
+        newest, successive = path[-1], list(pairwise(path))
+        residual_changes = np.array([b.u - b.w - (a.u - a.w) for a, b in successive])  # rows: dr'
+        displacement_changes = np.array([b.u - a.u for a, b in successive])  # rows: du'
         vectors = [*residual_changes, newest.u - newest.w]
         products = np.array([self._products(change, vectors) for change in residual_changes])
-        matrix, right = products[:, :-1], products[:, -1]
+        matrix, right = products[:, :-1], products[:, -1]  # dr'dr and dr'r
+        # equations for changes that are divided by their lengths, see `DEPENDENT`
         lengths = np.sqrt(np.diag(matrix))
         lengths[lengths == 0.0] = 1.0
         scaled = matrix / np.outer(lengths, lengths)
         factors = np.linalg.lstsq(scaled, right / lengths, rcond=DEPENDENT)[0] / lengths
-        return np.asarray(newest.u - np.array([b.u - a.u for a, b in changes]).T @ factors)
-
-    def _alike(self, configuration: Configuration) -> bool:
-        """Return whether a configuration is like the last one; see `ALIKE`. Collective."""
-        newest, earlier = self._path[-1].normal_forces, configuration.normal_forces
-        differs, forces = (newest > 0.0) != (earlier > 0.0), newest + earlier
-        sums = [float(forces[differs].sum()), float(forces.sum())]
-        changed_force, whole_force = reduce_array(self._contact.comm, sums)
-        return bool(changed_force <= ALIKE * whole_force)
+        return np.asarray(newest.u - displacement_changes.T @ factors)
 
     def _products(self, x: Array, vectors: list[Array]) -> Array:
         """Return inner products of x with `vectors`, displacements with ghosts. Collective."""
@@ -318,11 +318,6 @@ def add_cost(total: dict[str, Any], solution: ContactSolution) -> None:
     timings = total.setdefault("timings", {})
     for phase, seconds in solution.timings.items():
         timings[phase] = timings.get(phase, 0.0) + seconds
-
-
-def _inside(fraction: float) -> float:
-    """Return a fraction, moved away from 0 and 1 to `LEAST_FRACTION` at least."""
-    return min(max(fraction, LEAST_FRACTION), 1.0 - LEAST_FRACTION)
 
 
 def _root_of_ratio(square: float, reference: float, rounding: float = 0.0) -> float:

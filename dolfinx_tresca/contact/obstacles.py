@@ -20,7 +20,7 @@ from dolfinx_tresca.dual.nodal_values import central_differences, values_of
 from dolfinx_tresca.errors import InputError, shown
 from dolfinx_tresca.floating.equilibrium import FreeMotion, Tools
 from dolfinx_tresca.scene.friction import Preload
-from dolfinx_tresca.scene.obstacle import FREEDOMS, GivenForces, RigidMotion, RigidObstacle
+from dolfinx_tresca.scene.obstacle import FREEDOMS, RigidMotion
 from dolfinx_tresca.scene.pair import ContactPair
 from dolfinx_tresca.solution.forces import BoltForce, Resultant
 
@@ -63,10 +63,11 @@ class Obstacles:
     def between(self, before: Array, after: Array, fraction: float) -> Array:
         """Return `motions` for a part of the load: obstacles on their way, bolts as in `after`."""
         result = np.array(after)
-        for place, obstacle, start, end in zip(result, self._obstacles, before, after, strict=True):
+        for number, obstacle in enumerate(self._obstacles):
             if obstacle is not None and fraction < 1.0:
-                ends = RigidMotion.from_matrix(start), RigidMotion.from_matrix(end)
-                place[:] = ends[0].towards(ends[1], fraction, obstacle.centre).matrix
+                start = RigidMotion.from_matrix(before[number])
+                end = RigidMotion.from_matrix(after[number])
+                result[number] = start.towards(end, fraction, obstacle.centre).matrix
         return result
 
     def bolts(self, jump: JumpOperator) -> dict[int, tuple[Preload, Array]]:
@@ -111,47 +112,48 @@ class Obstacles:
 
         A bolt is pulled until the first load step is accepted (`begun`), and locked after that.
         """
+        comm, dim = self._V.mesh.comm, self._V.mesh.geometry.dim
         motions: list[FreeMotion] = []
         bolts = {} if begun else self.bolts(jump)
         for number, (pair, obstacle) in enumerate(zip(self._pairs, self._obstacles, strict=True)):
             if number in bolts:
                 preload, axis = bolts[number]
-                along, name, force = np.append(axis, np.zeros(3)), f"bolt {pair}", preload.value
+                along = np.append(axis, np.zeros(3))  # a translation, and no rotation
+                name, force = f"bolt {pair}", preload.value
                 motions.append(FreeMotion(name, "overlap", [number], along, np.zeros(3), force))
-            elif obstacle is not None and obstacle.given_forces is not None:
-                if pair.sliding == "finite":
-                    raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")
-                numbers = [k for k, primary in enumerate(self._obstacles) if primary is obstacle]
-                if number == numbers[0]:  # an obstacle of several pairs moves once
-                    motions += self._motions_of(obstacle, obstacle.given_forces, numbers, jump)
+                continue
+            if obstacle is None or obstacle.given_forces is None:
+                continue
+            given = obstacle.given_forces
+            if pair.sliding == "finite":
+                raise InputError(f"{obstacle}, held by forces, needs pairs with small sliding.")
+            numbers = [k for k, primary in enumerate(self._obstacles) if primary is obstacle]
+            if number != numbers[0]:  # an obstacle of several pairs moves once
+                continue
+            names = ("y",) if jump.system.axisymmetric else FREEDOMS[dim]
+            free = names if given.free is None else given.free
+            if not set(free) <= set(names):
+                raise InputError(
+                    f"{obstacle} may be free along {', '.join(names)} here, found {shown(free)}."
+                )
+            point = obstacle.motion.applied_to(given.about[:, None])[:, 0]
+            places = np.vstack([jump.pairs[k].places for k in numbers])
+            (arm,) = largest_abs(comm, places - point[:dim])
+            load = np.append(given.force(), given.moment())
+            for name in free:
+                direction = np.eye(6)[FREEDOMS[3].index(name)]
+                label = f"motion along {name[-1]}"
+                if name.startswith("r"):
+                    label = f"rotation about {name[-1]}"
+                    # the amount 1 moves the farthest contact node by a length of about 1
+                    direction /= arm or 1.0
+                force = float(load @ direction)
+                motions.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
         if not motions:
             return None
         if jump.system.is_tangent:
             raise InputError("obstacles held by forces, and preloads, need a ContactProblem.")
         return Tools.from_rows(motions, bodies, jump.by_pair, jump.stress_scale)
-
-    def _motions_of(
-        self, obstacle: RigidObstacle, given: GivenForces, numbers: list[int], jump: JumpOperator
-    ) -> list[FreeMotion]:
-        """Return the free motions of an obstacle, which is in the pairs `numbers`. Collective."""
-        names = ("y",) if jump.system.axisymmetric else FREEDOMS[self._V.mesh.geometry.dim]
-        free = names if given.free is None else given.free
-        if not set(free) <= set(names):
-            raise InputError(
-                f"{obstacle} may be free along {', '.join(names)} here, found {shown(free)}."
-            )
-        point = obstacle.motion.applied_to(given.about[:, None])[:, 0]
-        places = np.vstack([jump.pairs[number].places for number in numbers])
-        (arm,) = largest_abs(self._V.mesh.comm, places - point[: places.shape[1]])
-        load, result = np.append(given.force(), given.moment()), []
-        for name in free:
-            turns = name.startswith("r")
-            # a rotation with the amplitude 1 moves the farthest contact node by a length of about 1
-            direction = np.eye(6)[FREEDOMS[3].index(name)] / (arm if turns and arm else 1.0)
-            label = f"{'rotation about' if turns else 'motion along'} {name[-1]}"
-            force = float(load @ direction)
-            result.append(FreeMotion(str(obstacle), label, numbers, direction, point, force))
-        return result
 
     def note_pairing(self, jump: JumpOperator) -> None:
         """Record distances and normals at the nodes of a new B, for `changed`. Collective."""
@@ -169,11 +171,11 @@ class Obstacles:
 
     def changed(self, jump: JumpOperator) -> Mask:
         """Return (pairs,) whether distances or normals differ from the last pairing. Collective."""
-        limit = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of distance and normal
-        changed_on_rank = [
-            int((np.abs(after - before) > limit + ROUNDING * np.abs(before)).any())
-            for before, after in zip(self._at_pairing, self._distances(jump), strict=True)
-        ]
+        rounding = ROUNDING * np.array([self.extent, 1.0, 1.0, 1.0])  # of distance and normal
+        changed_on_rank = []
+        for before, after in zip(self._at_pairing, self._distances(jump), strict=True):
+            differs = np.abs(after - before) > rounding + ROUNDING * np.abs(before)
+            changed_on_rank.append(int(differs.any()))
         return np.asarray(reduce_array(self._V.mesh.comm, np.array(changed_on_rank)) > 0)
 
     def rates(self, control: Any, direction: Array | None, jump: JumpOperator) -> Array:
@@ -197,34 +199,27 @@ class Obstacles:
         ends = np.cumsum([len(distances) for distances in self._distances(jump)])[:-1]
         return np.array(largest_abs(comm, *np.split(rates[0], ends)))
 
-    def _displacement(self, before: Array, after: Array, u: fem.Function) -> fem.Function:
-        """Return the displacement [length] of an obstacle's points that end at nodes moved by u.
-
-        A point of the obstacle goes from M_0 X to M_1 X as its motion changes from `before`, M_0,
-        to `after`, M_1. With M_1 X = x at a node displaced by u, it moves by x - M_0 M_1^-1 x.
-        """
-        dim = self._V.mesh.geometry.dim
-        points = self._V.tabulate_dof_coordinates().T.copy()
-        points[:dim] += u.x.array.reshape(-1, dim).T
-        material = RigidMotion.from_matrix(after).reversed_from(points)
-        displacement = points - RigidMotion.from_matrix(before).applied_to(material)
-        result = fem.Function(self._V)
-        result.x.array[:] = displacement[:dim].T.ravel()
-        return result
-
     def jumps(self, state: StepState, before: Array, after: Array) -> tuple[Array, float]:
         """Return B times the displacement of obstacles (size,), and its largest component.
 
-        This is the displacement at the nodes of V as the obstacles' `motions` change from `before`
-        to `after`; its largest component [length] is that on this rank. Collective.
+        Collective. This is the displacement of the points that end at the nodes of V, as `motions`
+        change from `before` to `after`; its largest component [length] is that on this rank.
         """
-        jump = state.jump
+        jump, dim = state.jump, self._V.mesh.geometry.dim
         jumps, largest = np.zeros(len(jump.gap)), 0.0
         for pair, start, end, own in zip(self._pairs, before, after, jump.own_rows, strict=True):
-            if not np.array_equal(start, end):
-                u = state.configuration if pair.sliding == "finite" else state.geometry
-                displacement = self._displacement(start, end, u)
-                largest = max(largest, float(np.abs(displacement.x.array).max(initial=0.0)))
-                rows = np.append(own.normal, own.tangential)
-                jumps[rows] = jump.of_displacement(displacement)[rows]
+            if np.array_equal(start, end):
+                continue
+            # a point X of the obstacle goes from M_0 X to M_1 X; with M_1 X = x at a node displaced
+            # by u, it moves by x - M_0 M_1^-1 x
+            u = state.configuration if pair.sliding == "finite" else state.geometry
+            points = self._V.tabulate_dof_coordinates().T.copy()  # (3, nodes)
+            points[:dim] += u.x.array.reshape(-1, dim).T
+            material = RigidMotion.from_matrix(end).reversed_from(points)
+            moved = points - RigidMotion.from_matrix(start).applied_to(material)
+            displacement = fem.Function(self._V)
+            displacement.x.array[:] = moved[:dim].T.ravel()
+            largest = max(largest, float(np.abs(displacement.x.array).max(initial=0.0)))
+            rows = np.append(own.normal, own.tangential)
+            jumps[rows] = jump.of_displacement(displacement)[rows]
         return jumps, largest

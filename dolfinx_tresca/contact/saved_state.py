@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Indices
+from dolfinx_tresca._base.arrays import Array
 from dolfinx_tresca._base.atomic_write import atomic_write
 from dolfinx_tresca._base.functions import owned_values, with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, reduce_array, summed_at_nodes
@@ -101,7 +101,21 @@ class SavedState:
         with errors_on_all_ranks(self._comm):
             if self._comm.rank == 0:
                 self._content = _read(path)
-                self._check_sizes(pairs, [space.dofmap.index_map_bs for space in spaces])
+                # numbers of pairs, and of components of each Function, as in the problem?
+                components = [space.dofmap.index_map_bs for space in spaces]
+                saved = []
+                for name, values in self._content.items():
+                    if name.startswith("function") and name.endswith("values"):
+                        saved.append(values.shape[1])
+                saved_pairs = len(self._content["motions"])
+                if saved != components or saved_pairs != pairs:
+                    raise InputError(
+                        f"the state in '{path}' is of a problem with {len(saved)} Function(s), of "
+                        f"{saved} component(s), those of u and those given as material, and with "
+                        f"{saved_pairs} pair(s), and here there are {len(components)}, of "
+                        f"{components}, and {pairs} pair(s). Give the pairs, the mesh and the "
+                        "space of that problem."
+                    )
         names = "laws", "motions", "numbers"
         header = self._comm.bcast([self._content.get(name) for name in names])
         self._laws, self.motions, (self._dissipation, self._begun, step) = header
@@ -110,27 +124,11 @@ class SavedState:
         self._nodes = self._rows("nodes", self._places)
         self.configuration = with_owned_values(system.V, self._nodes["configuration"])
         self.geometry = with_owned_values(system.V, self._nodes["geometry"])
-        functions = [
-            with_owned_values(space, self._rows(f"function {k}", surroundings(space))["values"])
-            for k, space in enumerate(spaces)
-        ]
+        functions = []
+        for k, space in enumerate(spaces):
+            rows = self._rows(f"function {k}", surroundings(space))
+            functions.append(with_owned_values(space, rows["values"]))
         self._unknowns, self.material = functions[: len(unknowns)], functions[len(unknowns) :]
-
-    def _check_sizes(self, pairs: int, components: list[int]) -> None:
-        """Check numbers of pairs, and of components of each Function, on the first rank."""
-        saved = [
-            values.shape[1]
-            for name, values in self._content.items()
-            if name.startswith("function") and name.endswith("values")
-        ]
-        saved_pairs = len(self._content["motions"])
-        if saved != components or saved_pairs != pairs:
-            raise InputError(
-                f"the state in '{self._path}' is of a problem with {len(saved)} Function(s), of "
-                f"{saved} component(s), those of u and those given as material, and with "
-                f"{saved_pairs} pair(s), and here there are {len(components)}, of {components}, "
-                f"and {pairs} pair(s). Give the pairs, the mesh and the space of that problem."
-            )
 
     def _rows(self, table: str, places: Array) -> dict[str, Array]:
         """Return column -> values (n, k) of a table at the `surroundings` of nodes. Collective."""
@@ -141,19 +139,24 @@ class SavedState:
             if places_of_ranks is not None:
                 nodes = np.concatenate(places_of_ranks)
                 saved = self._content.get(f"{table}/{PLACES}", np.zeros((0, nodes.shape[1])))
-                rows = same_nodes(saved, nodes)
-                if rows is None:
+                same = saved.shape == nodes.shape
+                if same:  # each node is at the place of a row, and each row at that of a node
+                    extent = float(np.ptp(nodes, axis=0).max() if len(nodes) > 1 else 1.0)
+                    rows = KDTree(saved).query(nodes, distance_upper_bound=SAME_PLACE * extent)[1]
+                    same = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(saved)
+                if not same:
                     raise InputError(
                         f"the state in '{self._path}' is of another mesh, of another degree or of "
                         f"other pairs: its {table} has {len(saved)} nodes or points, the problem "
                         f"{len(nodes)}, and they must be the same ones. For another mesh take "
                         "continue_from(solution)."
                     )
-                ends = np.cumsum([len(places) for places in places_of_ranks])[:-1]
+                ends = np.cumsum([len(of_rank) for of_rank in places_of_ranks])[:-1]
                 for name, values in self._content.items():
                     if name.startswith(f"{table}/"):
-                        for columns, x in zip(tables, np.split(values[rows], ends), strict=True):
-                            columns[name.partition("/")[2]] = x
+                        column = name.partition("/")[2]
+                        for rank, of_rank in enumerate(np.split(values[rows], ends)):
+                            tables[rank][column] = of_rank
         return dict(self._comm.scatter(tables))
 
     def state(self, present: StepState) -> StepState:
@@ -168,26 +171,24 @@ class SavedState:
                     "coefficient change, from or to 0. Or begin with set_slip_origin(u) at the "
                     "last accepted displacement."
                 )
-        rows = [
-            self._rows(f"pair {k}", _contact_places(pair, self._places))["values"]
-            for k, pair in enumerate(jump.pairs)
-        ]
+        # of each contact node the pressure (1), the traction (d) and the slip origin (d)
+        rows = []
+        for k, pair in enumerate(jump.pairs):
+            places = _contact_places(pair, self._places)
+            rows.append(self._rows(f"pair {k}", places)["values"])
         dim = jump.system.V.mesh.geometry.dim
         tractions = jump.components([values[:, : 1 + dim] for values in rows])
         origin = jump.components([values[:, dim:] for values in rows])
-        origin[~jump.is_tangential] = 0.0
-        slips = enumerate(SlipHistory.none(jump).slipped)
-        history = SlipHistory(
-            origin / jump.length_scale,
-            tuple(self._nodes.get(f"slip of pair {k}", zeros) for k, zeros in slips),
-            float(self._dissipation),
-            begun=bool(self._begun),
-        )
-        names = "accepted displacement", "displacement before", "accepted configuration"
-        displacement, before, configuration = (
-            with_owned_values(self._system.V, self._nodes[name]) if name in self._nodes else None
-            for name in names
-        )
+        origin[~jump.is_tangential] = 0.0  # the column that is no component of it
+        zeros = SlipHistory.none(jump).slipped
+        slipped = tuple(self._nodes.get(f"slip of pair {k}", x) for k, x in enumerate(zeros))
+        origin = origin / jump.length_scale
+        history = SlipHistory(origin, slipped, float(self._dissipation), begun=bool(self._begun))
+        displacements: list[fem.Function | None] = []  # None: the process had none to save
+        for name in ("accepted displacement", "displacement before", "accepted configuration"):
+            u = self._nodes.get(name)
+            displacements.append(None if u is None else with_owned_values(self._system.V, u))
+        displacement, before, configuration = displacements
         unknowns = present.unknowns
         if self._unknowns:
             w = self._unknowns[0]
@@ -267,13 +268,3 @@ def surroundings(V: Any) -> Array:
     # the last column counts the cells around a node, none around one that no cell has
     sums = summed_at_nodes(V.dofmap.index_map, nodes, of_cells)[:own]
     return np.hstack([points[:own], sums[:, :-1] / np.maximum(sums[:, -1:], 1.0)])
-
-
-def same_nodes(saved: Array, asked: Array) -> Indices | None:
-    """Return for each node `asked` its row (n,) in a file by `surroundings`; None: nodes differ."""
-    if saved.shape != asked.shape:
-        return None
-    accuracy = SAME_PLACE * float(np.ptp(asked, axis=0).max() if len(asked) > 1 else 1.0)
-    rows: Indices = KDTree(saved).query(asked, distance_upper_bound=accuracy)[1]
-    matched = len(np.unique(rows)) == len(rows) and rows.max(initial=-1) < len(saved)
-    return rows if matched else None

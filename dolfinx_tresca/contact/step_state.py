@@ -128,8 +128,9 @@ class StepState:
         self, history: SlipHistory, displacement: fem.Function | None, **accepted: Any
     ) -> StepState:
         """Return the state after an accepted step; `accepted` are attributes of `AcceptedStep`."""
-        present: dict[str, Any] = {"before": self.accepted.displacement, "motions": self.motions}
-        step = replace(self.accepted, displacement=displacement, **(present | accepted))
+        accepted.setdefault("before", self.accepted.displacement)
+        accepted.setdefault("motions", self.motions)
+        step = replace(self.accepted, displacement=displacement, **accepted)
         after = replace(self, history=history, accepted=step, pending=False, dissipation=0.0)
         return after.started_at(self.multipliers)
 
@@ -157,7 +158,8 @@ class StepState:
 
     def with_status(self, status: ContactStatus) -> StepState:
         """Return the state in which the last solve, if any, ended with a status. Not collective."""
-        return replace(self, solution=self.solution and replace(self.solution, status=status))
+        solution = None if self.solution is None else replace(self.solution, status=status)
+        return replace(self, solution=solution)
 
     def at_start(self, depends_on_start: bool) -> StepState:
         """Return the state from which the next solve of the user begins. Collective.
@@ -177,7 +179,7 @@ class StepState:
     def with_tangents_of(self, jump: JumpOperator) -> StepState:
         """Return the state on a B with other tangents at the same nodes. Not collective."""
         carry = Carry(self.jump, jump)
-        return self._on(jump, carry, replace(self.history, origin=carry.jumps(self.history.origin)))
+        return self._on(jump, carry, origin=carry.jumps(self.history.origin))
 
     def paired_at(self, jump: JumpOperator, u: fem.Function, since_accepted: Mask) -> StepState:
         """Return the state on the B of surfaces displaced by u [length]. Collective.
@@ -188,22 +190,24 @@ class StepState:
         """
         carry = Carry(self.jump, jump)
         kept_slip = carry.jumps(self.jump.of_displacement(u) - self.history.origin)
-        accepted, origin = self.accepted.displacement, np.zeros(len(jump.gap))
-        rows = jump.discs.tangential
-        origin[rows] = (jump.of_displacement(u) - kept_slip)[rows]
-        at_start = np.zeros_like(origin) if accepted is None else jump.of_displacement(accepted)
-        for is_new, own in zip(since_accepted, jump.own_rows, strict=True):
-            if is_new and not own.operators.bonded:
-                origin[own.tangential] = at_start[own.tangential]
-        return self._on(jump, carry, replace(self.history, origin=origin))
+        origin_with_kept_slip = jump.of_displacement(u) - kept_slip
+        origin = np.zeros(len(jump.gap))
+        rows = jump.discs.tangential  # without those of bonded surfaces, where the origin is zero
+        origin[rows] = origin_with_kept_slip[rows]
+        u_0 = self.accepted.displacement
+        accepted_jump = np.zeros_like(origin) if u_0 is None else jump.of_displacement(u_0)
+        for counts_anew, own in zip(since_accepted, jump.own_rows, strict=True):
+            if counts_anew and not own.operators.bonded:
+                origin[own.tangential] = accepted_jump[own.tangential]
+        return self._on(jump, carry, origin)
 
-    def _on(self, jump: JumpOperator, carry: Carry, history: SlipHistory) -> StepState:
-        """Return the state on another B with a history, the same tractions and no solution."""
+    def _on(self, jump: JumpOperator, carry: Carry, origin: Array) -> StepState:
+        """Return the state on another B, with its slip origin, the same tractions, no solution."""
         accepted = carry.multipliers(self.accepted.multipliers)
         return replace(
             self,
             jump=jump,
-            history=history,
+            history=replace(self.history, origin=origin),
             multipliers=carry.multipliers(self.multipliers),
             accepted=replace(self.accepted, multipliers=accepted),
             continues=False,

@@ -12,13 +12,12 @@ import numpy as np
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import Array, Mask, dots
+from dolfinx_tresca._base.arrays import Array, dots
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values, zero_like
 from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import SLACK
 from dolfinx_tresca.dual.accuracy import total
-from dolfinx_tresca.dual.jump import JumpOperator
 from dolfinx_tresca.dual.load_steps import SlipHistory
 from dolfinx_tresca.dual.program import DualProgram, relative_change
 from dolfinx_tresca.options import SolverOptions
@@ -31,7 +30,6 @@ from dolfinx_tresca.solution.forces import (
     resultants_on,
 )
 from dolfinx_tresca.solvers.convergence import BALANCED, energy_norm, relative_error
-from dolfinx_tresca.solvers.feasible_set import FeasibleSet
 from dolfinx_tresca.solvers.problem import DualSolution, Point
 from dolfinx_tresca.status import ContactStatus
 
@@ -155,18 +153,18 @@ def evaluate(
         areas = np.concatenate([pair.weights for pair in B.pairs])
         amounts = (dual.equilibrium.factors * c)[dual.of_tools]
         for motion, amount in zip(dual.equilibrium.bodies.tool_motions, amounts, strict=True):
-            for operators, nodes in ((pairs[k].operators, pairs[k].nodes) for k in motion.pairs):
+            for number in motion.pairs:
+                operators, nodes = pairs[number].operators, pairs[number].nodes
                 opening = dots(motion.displacement(operators.places), operators.normals)
                 closing[nodes] -= amount * opening * operators.weights / areas[nodes]
     states, steps, before, slip, nodal_results = node_values(dual, solution, r, increment)
-    pressed, paths = states >= ContactState.PRESSED, before[:, -1] + steps[:, -1]
+    pressed = states >= ContactState.PRESSED
+    paths = before[:, -1] + steps[:, -1]  # lengths of the paths over all steps
     dissipation = float(dual.inner(x, slip))
 
     # fields, openings and nodal forces of each pair, in physical units
     stress, moved = x * B.stress_scale, increment * B.length_scale
-    fields: list[SurfaceFields] = []
-    openings: list[float] = []
-    forces: list[Array] = []
+    fields, openings, forces = [], [], []
     numbers = np.array([(len(p.nodes), pressed[p.nodes].sum(), len(p.tangential)) for p in pairs])
     node_counts, pressed_counts, tangential_counts = reduce_array(comm, numbers).T.tolist()
     for pair, surface, tangential_count in zip(pairs, surfaces, tangential_counts, strict=True):
@@ -180,14 +178,16 @@ def evaluate(
             "normal": operators.normals,
         }
         if tangential_count > 0:  # on any rank
-            since = pair.nodal_vectors(moved)[:, 1:]
-            values |= {"traction": tractions[:, 1:], "slip": before[nodes, :-1] + since}
-            values |= {"slip_path": paths[nodes]}
-            values |= {"slip_increment": since} if dual.history.begun else {}
+            slips = pair.nodal_vectors(moved)[:, 1:]  # of the step
+            values["traction"] = tractions[:, 1:]
+            values["slip"] = before[nodes, :-1] + slips
+            values["slip_path"] = paths[nodes]
+            if dual.history.begun:
+                values["slip_increment"] = slips
         fields.append(surface.fields(operators, u, values))
         openings.append((values["gap"] - np.maximum(operators.gap, 0.0)).max(initial=0.0))
         forces.append(operators.weights[:, None] * tractions)
-    pair_states = map(PairState, pressed_counts, node_counts, largest_abs(comm, *openings))
+    pair_openings = largest_abs(comm, *openings)
 
     # results of the whole scene
     origin = dual.history.origin.copy()  # the next step starts from where tools have moved
@@ -195,12 +195,13 @@ def evaluate(
     history = replace(dual.history, origin=origin)
     history = history.after(B, slip, [steps[nodes] for nodes in B.nodes], dissipation)
     lengths = np.linalg.norm(steps[:, :-1], axis=1)
-    at_pressed = np.maximum(stress[~B.is_tangential], 0.0), lengths[pressed], paths[pressed]
-    peak_pressure, greatest_slip, greatest_total_slip = largest_abs(comm, *at_pressed)
+    pressures = np.maximum(stress[~B.is_tangential], 0.0)
+    peak, greatest, longest = largest_abs(comm, pressures, lengths[pressed], paths[pressed])
     primal, dual_energy = dual.energies(x, solved, c, error)
     if B.frames is not None:  # the work of loads on the rigid motions of the frames
         work = B.frames.work(B.system.assemble_forces())
         primal, dual_energy = primal - work, dual_energy - work
+    estimated = deformation if estimate else None
     evaluation = Evaluation(
         u=u,
         w=w,
@@ -212,14 +213,14 @@ def evaluate(
         dual_energy=dual_energy,
         dissipation=dissipation,
         total_dissipation=history.dissipation,
-        pair_states=tuple(pair_states),
+        pair_states=tuple(map(PairState, pressed_counts, node_counts, pair_openings)),
         body_names=bodies.names,
-        peak_pressure=peak_pressure,
-        greatest_slip=greatest_slip,
-        greatest_total_slip=greatest_total_slip,
+        peak_pressure=peak,
+        greatest_slip=greatest,
+        greatest_total_slip=longest,
         reactions={},
         **nodal_results,
-        **energy_errors(dual, Point(x, c, r), error + missing, deformation if estimate else None),
+        **energy_errors(dual, Point(x, c, r), error + missing, estimated),
         **forces_on(dual, x, u, bodies, [pair.operators for pair in pairs], forces),
     )
     return evaluation, history
@@ -274,10 +275,9 @@ def forces_on(
     # on linear bodies without frames, forces act at the undeformed places
     displaced = u if B.frames is not None or B.system.is_tangent else None
     on_bodies = nodal_resultants(V, owned_values(on_nodes), displaced, bodies.label, bodies.count)
-    on_secondary = [
-        -force[:, :1] * pair.normals - force[:, 1:]
-        for pair, force in zip(operators, forces, strict=True)
-    ]
+    on_secondary = []
+    for pair, force in zip(operators, forces, strict=True):
+        on_secondary.append(-force[:, :1] * pair.normals - force[:, 1:])
     places = np.vstack([pair.places for pair in operators])
     index = np.repeat(np.arange(len(forces)), [len(force) for force in forces])
     all_forces, point = np.vstack(on_secondary), on_bodies[0].point
@@ -309,7 +309,8 @@ def node_values(
     """
     B, x = dual.jump, solution.multipliers
     # nodes are in the state that they would take if their neighbours were fixed
-    section, target = dual.section_at(x, solution.gradient), dual.local_minimiser(x, r)
+    section = dual.section_at(x, solution.gradient)  # Lambda with the slip bounds of x
+    target = dual.local_minimiser(x, r)  # the multipliers in these states, not yet projected
     target_section = dual.admissible.at_point(x, r).section(target)
     stick = target_section.face(target).stick
     slip = np.zeros_like(increment)
@@ -318,12 +319,14 @@ def node_values(
     # errors: the largest changes of tractions and of slip bounds from x to these states
     change, largest, rounding = dual.local_change(x, r)
     is_finite = np.isfinite(section.radius)
-    bounds, bounds_at_target = section.radius[is_finite], target_section.radius[is_finite]
-    bound_change, largest_bound = largest_abs(B.comm, bounds_at_target - bounds, bounds)
+    bounds = section.radius[is_finite]
+    bound_changes = target_section.radius[is_finite] - bounds
+    bound_change, largest_bound = largest_abs(B.comm, bound_changes, bounds)
 
     # which nodes (n,) are bonded, have friction, stick, have a positive slip bound, are pressed
     normal = np.flatnonzero(~B.is_tangential)
-    node_of_row, numbers = B.row_nodes[normal], [len(pair.nodes) for pair in B.pairs]
+    node_of_row = B.row_nodes[normal]
+    numbers = [len(pair.nodes) for pair in B.pairs]
     bonded = np.repeat([pair.bonded for pair in B.pairs], numbers)
     tangential_rows = reduce_array(B.comm, [len(pair.tangent_node) for pair in B.pairs])
     has_friction = np.repeat(tangential_rows > 0, numbers)
@@ -332,7 +335,17 @@ def node_values(
     pressed = np.zeros(len(bonded), dtype=np.bool_)
     # strict inequality: a node without gap and without load is not pressed
     pressed[node_of_row] = bonded[node_of_row] | (target[normal] > 0.0)
-    undecided = _near_another_state(B, target_section, target, max(change, EDGE * largest))[nodes]
+
+    # nodes are undecided if a change of tractions by `limit` may change their state: if the
+    # traction is so near to the edge of its friction disc, or the pressure so near to 0
+    limit = max(change, EDGE * largest)
+    scale = np.ones(len(stick))  # stress per multiplier of each disc
+    scale[target_section.node] = B.stress_scale[target_section.tangential]
+    has_circle = np.isfinite(target_section.radius) & (target_section.radius > 0.0)
+    radius = np.where(has_circle, target_section.radius, 0.0)
+    from_edge = np.abs(target_section.norms(target) - radius) * scale
+    undecided = (has_circle & (from_edge <= limit))[nodes]
+    undecided[node_of_row] |= np.abs(target * B.stress_scale)[normal] <= limit
 
     # the first condition that a node meets is its state
     conditions = {
@@ -343,39 +356,24 @@ def node_values(
         ContactState.OPEN_STICK: has_friction & rubs & sticks,
         ContactState.OPEN_SLIP: has_friction & rubs,
     }
-    states = np.select([*conditions.values()], [*map(float, conditions)], float(ContactState.OPEN))
+    values = [float(state) for state in conditions]
+    states = np.select(list(conditions.values()), values, float(ContactState.OPEN))
     vectors = np.vstack(B.nodal_vectors(slip * B.length_scale))[:, 1:]
     slips_before = zip(B.pairs, dual.history.slipped, strict=True)
     before = np.vstack([slipped[pair.nodes] for pair, slipped in slips_before])
     path = np.where(pressed | rubs, np.linalg.norm(vectors, axis=1), 0.0)
     for pair, own in zip(B.pairs, B.nodes, strict=True):  # on edges the longest of all patches
-        start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)[1:]
+        _, start, row = np.unique(pair.nodes, return_index=True, return_inverse=True)
         path[own] = np.maximum.reduceat(path[own], start)[row]
-    # in the order of `NodeCounts`, without bonded nodes
-    kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs, undecided]) & ~bonded
-    *counts, doubtful = kinds.sum(axis=1)
-    sums = reduce_array(B.comm, [len(bonded), *counts, bonded.sum(), doubtful])
+    # numbers in the order of `NodeCounts`; bonded nodes are counted in no other state
+    kinds = np.array([pressed, sticks, pressed & sticks, ~pressed & ~rubs]) & ~bonded
+    counts = [len(bonded), *kinds.sum(axis=1), bonded.sum(), (undecided & ~bonded).sum()]
     results = {
-        "counts": NodeCounts(*map(int, sums)),
+        "counts": NodeCounts(*map(int, reduce_array(B.comm, counts))),
         "local_error": relative_change(change, largest, rounding),
         "bound_error": relative_change(bound_change, largest_bound),
     }
     return states, np.column_stack([vectors, path]), before, slip, results
-
-
-def _near_another_state(B: JumpOperator, section: FeasibleSet, x: Array, limit: float) -> Mask:
-    """Return for each disc whether a change of tractions by `limit` [stress] may change its state.
-
-    It may if at the multipliers x (size,) the traction is so near to the edge of its friction disc,
-    or the pressure so near to 0. The first discs are those of the nodes, in their order.
-    """
-    scale = np.ones(len(section.radius))
-    scale[section.node] = B.stress_scale[section.tangential]
-    has_circle = np.isfinite(section.radius) & (section.radius > 0.0)
-    radius = np.where(has_circle, section.radius, 0.0)
-    result: Mask = has_circle & (np.abs(section.norms(x) - radius) * scale <= limit)
-    result[B.row_nodes[~B.is_tangential]] |= (np.abs(x * B.stress_scale) <= limit)[~B.is_tangential]
-    return result
 
 
 def status_of_fields(

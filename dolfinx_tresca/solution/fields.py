@@ -204,23 +204,24 @@ class Surface:
         communicators, on several ranks 10, and MPICH has 2,048 of them.)
         """
         V, surfaces = work.function_space, []
-        dim, pairs_per_mesh = V.mesh.geometry.dim, -(-len(pairs) // 50)
+        dim, facet_dim = V.mesh.geometry.dim, V.mesh.topology.dim - 1
+        pairs_per_mesh = -(-len(pairs) // 50)  # rounded up
         for start in range(0, len(pairs), pairs_per_mesh):
             group = pairs[start : start + pairs_per_mesh]
-            facets = [pair.facet_tags.find(pair.secondary) for pair in group]
-            mesh, parent_nodes, entity_maps = compat.create_submesh(
-                V.mesh, V.mesh.topology.dim - 1, np.unique(np.concatenate(facets))
-            )
-            scalar = fem.functionspace(mesh, ("Lagrange", 1))
-            vector = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
-            # from a node of `scalar` to the surface's geometry node, to that of the problem's mesh,
-            # to the node of V
-            count = scalar.dofmap.index_map.size_local + scalar.dofmap.index_map.num_ghosts
-            parent = np.zeros(count, dtype=np.int32)
-            of_mesh = parent_nodes[compat.geometry_dofmap(mesh)[:, : scalar.dofmap.list.shape[1]]]
-            parent[scalar.dofmap.list] = nodes_of_vertices(V)[of_mesh]
-            originals = fem.Function(scalar), fem.Function(vector)
-            surfaces += [cls(mesh, *originals, parent, work, pair, entity_maps) for pair in group]
+            facets_of_pairs = [pair.facet_tags.find(pair.secondary) for pair in group]
+            facets = np.unique(np.concatenate(facets_of_pairs))
+            mesh, parent_nodes, entity_maps = compat.create_submesh(V.mesh, facet_dim, facets)
+            Q = fem.functionspace(mesh, ("Lagrange", 1))
+            Q_d = fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+            # from a corner of a facet, a node of Q, to the surface's geometry node, to that of the
+            # problem's mesh, to the node of V
+            corners, nodes = Q.dofmap.list, Q.dofmap.index_map
+            surface_nodes = compat.geometry_dofmap(mesh)[:, : corners.shape[1]]
+            parent = np.zeros(nodes.size_local + nodes.num_ghosts, dtype=np.int32)
+            parent[corners] = nodes_of_vertices(V)[parent_nodes[surface_nodes]]
+            scalar, vector = fem.Function(Q), fem.Function(Q_d)
+            for pair in group:
+                surfaces.append(cls(mesh, scalar, vector, parent, work, pair, entity_maps))
         return surfaces
 
     def function(self, name: str, nodes: LocalNumbers, values: Array) -> fem.Function:
@@ -259,9 +260,8 @@ class Surface:
         the first step none of `slip_increment`, which then is the slip.
         """
         functions: dict[str, Any] = dict.fromkeys(("traction", "slip", "slip_path"))
-        functions |= {
-            name: self.function(name, operators.nodes, array) for name, array in values.items()
-        }
+        for name, array in values.items():
+            functions[name] = self.function(name, operators.nodes, array)
         functions.setdefault("slip_increment", functions["slip"])
         displacement, V = zero_like(self.vector, u.name), u.function_space
         displacement.x.array[:] = u.x.array.reshape(-1, V.dofmap.index_map_bs)[self.parent].ravel()
@@ -323,20 +323,17 @@ def _on_nearest_facets(fields: SurfaceFields, points: Array) -> Array:
     facets = np.flatnonzero(carries.x.array[V.dofmap.list].any(axis=1)).astype(np.int32)
     if len(points) == 0 or len(facets) == 0:
         return np.full((len(points), mesh.geometry.dim + 2), np.inf)
-    trees = (
-        dolfinx.geometry.bb_tree(mesh, mesh.topology.dim, entities=facets),
-        dolfinx.geometry.create_midpoint_tree(mesh, mesh.topology.dim, facets),
-    )
-    cells: Indices = dolfinx.geometry.compute_closest_entity(*trees, mesh, points)
+    boxes = dolfinx.geometry.bb_tree(mesh, mesh.topology.dim, entities=facets)
+    midpoints = dolfinx.geometry.create_midpoint_tree(mesh, mesh.topology.dim, facets)
+    cells: Indices = dolfinx.geometry.compute_closest_entity(boxes, midpoints, mesh, points)
     corners = V.tabulate_dof_coordinates()[V.dofmap.list[cells]]
-    away = [
-        dolfinx.geometry.compute_distance_gjk(facet, point[None])
-        for facet, point in zip(corners, points, strict=True)
-    ]
-    share, slip, path = (
-        function.eval(points + away, cells).reshape(len(points), -1)
-        for function in (carries, fields.slip, fields.slip_path)
-    )
+    away = []  # from each point to the nearest point of its facet
+    for facet, point in zip(corners, points, strict=True):
+        away.append(dolfinx.geometry.compute_distance_gjk(facet, point[None]))
+    nearest = points + away
+    share = carries.eval(nearest, cells).reshape(len(points), -1)
+    slip = fields.slip.eval(nearest, cells).reshape(len(points), -1)
+    path = fields.slip_path.eval(nearest, cells).reshape(len(points), -1)
     # nodes without multipliers, where fields are zero, do not count in the interpolation
     slips = np.hstack([slip, path]) / np.where(share > 0.0, share, 1.0)
     return np.column_stack([np.linalg.norm(away, axis=1), slips])

@@ -121,7 +121,8 @@ def resultants_between(
     asked, source = exchange(comm, partners, owners)
     answers, _ = exchange(comm, label[asked - start], source)
     on, by = label[secondary], answers[column]
-    on_lower = (np.sign(by - on) * shares.data)[:, None] * np.concatenate(forces)[shares.row]
+    sign = np.sign(by - on)  # 1: the secondary node is on the body with the lower number
+    on_lower = (sign * shares.data)[:, None] * np.concatenate(forces)[shares.row]
     places = np.concatenate([pair.places for pair in pairs])[shares.row]
     weights = np.linalg.norm(on_lower, axis=1)[:, None]
     # sum force, moment about the origin, weighted place and weight for each two bodies
@@ -136,8 +137,8 @@ def resultants_between(
         np.add.at(sums, index.ravel(), rows)
         return different, sums
 
-    own = summed(bodies[acts], rows[acts])
-    both, sums = summed(*(gather_rows(comm, array) for array in own))
+    own_bodies, own_sums = summed(bodies[acts], rows[acts])
+    both, sums = summed(gather_rows(comm, own_bodies), gather_rows(comm, own_sums))
     origin, result = np.zeros(dim), {}
     for (i, j), row in zip(both.tolist(), sums, strict=True):
         force, moment, place = np.split(row[:-1], [dim, len(row) - dim - 1])
@@ -189,12 +190,23 @@ class Supports:
         free, contact = ~self.system.prescribed, self.contact_force.x.array
         unbalanced, *largest = largest_abs(self.system.comm, forces[free], forces, contact)
         # solutions of the default accuracy leave less than a hundredth of this
-        if unbalanced > 2e-2 * max(largest) and unbalanced > self._rounding():
-            raise ContactError(
-                "loads, prescribed values or coefficients have changed since the solution, or it "
-                f"has not converged: forces at free nodes are {unbalanced / max(largest):.2g} of "
-                "the largest force. Call solve() before reaction()."
-            )
+        if unbalanced > 2e-2 * max(largest):
+            # rounding errors of forces are below 1e-10 of the forces of a displacement as large as
+            # u whose sign changes from node to node: in these the terms of an internal force do not
+            # cancel. Loads are far above this
+            opposite = fem.Function(u.function_space)
+            parity = np.arange(len(u.x.array)) // u.function_space.dofmap.bs % 2
+            opposite.x.array[:] = u.x.array * (1.0 - 2.0 * parity)
+            opposite.x.scatter_forward()
+            opposite_forces = self._at_nodes(ufl.derivative(self.residual, u, opposite))
+            (greatest,) = largest_abs(u.function_space.mesh.comm, opposite_forces)
+            if unbalanced > 1e-10 * greatest:
+                raise ContactError(
+                    "loads, prescribed values or coefficients have changed since the solution, or "
+                    "it has not converged: forces at free nodes are "
+                    f"{unbalanced / max(largest):.2g} of the largest force. Call solve() before "
+                    "reaction()."
+                )
         held, springs = self._held_and_springs(where)
         forces = np.where(held, forces, 0.0)
         if springs:
@@ -207,21 +219,6 @@ class Supports:
         """Return a form of rank 1, assembled at the owned degrees of freedom. Collective."""
         V = self.contact_force.function_space
         return owned_values(assembled(form, V, self.system.entity_maps)).ravel()
-
-    def _rounding(self) -> float:
-        """Return the size of rounding errors of the forces [force]. Collective.
-
-        They are below 1e-10 of the forces of a displacement as large as u whose sign changes from
-        node to node: there the terms of an internal force do not cancel. Loads are far above this.
-        """
-        u = self.u
-        opposite = fem.Function(u.function_space)
-        parity = np.arange(len(u.x.array)) // u.function_space.dofmap.bs % 2
-        opposite.x.array[:] = u.x.array * (1.0 - 2.0 * parity)
-        opposite.x.scatter_forward()
-        forces = self._at_nodes(ufl.derivative(self.residual, u, opposite))
-        (largest,) = largest_abs(u.function_space.mesh.comm, forces)
-        return 1e-10 * largest
 
     def _held_and_springs(self, where: Any) -> tuple[Mask, ufl.Form | None]:
         """Return which owned degrees of freedom a support prescribes, and its springs. Collective.
@@ -246,13 +243,11 @@ class Supports:
             nodes = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
             nodes = nodes[nodes < V.dofmap.index_map.size_local]
             held.reshape(-1, V.dofmap.bs)[nodes] = True
-            springs = [
-                integral.reconstruct(subdomain_id=tag)
-                for integral in self.residual.integrals()
-                if integral.integral_type() == "exterior_facet"
-                and tag in np.atleast_1d(integral.subdomain_id())
-                and self.u in ufl.algorithms.extract_coefficients(integral.integrand())
-            ]
+            for integral in self.residual.integrals():
+                tags = np.atleast_1d(integral.subdomain_id())
+                if integral.integral_type() == "exterior_facet" and tag in tags:
+                    if self.u in ufl.algorithms.extract_coefficients(integral.integrand()):
+                        springs.append(integral.reconstruct(subdomain_id=tag))
         held &= self.system.prescribed
         if not springs and not reduce_array(V.mesh.comm, int(held.sum())):
             raise InputError(

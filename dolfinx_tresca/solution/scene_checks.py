@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from dolfinx import fem
 
-from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask, dots, in_space
+from dolfinx_tresca._base.arrays import ROUNDING, Array, dots, in_space
 from dolfinx_tresca._base.bodies import Bodies
 from dolfinx_tresca._base.functions import owned_values
 from dolfinx_tresca._base.parallel import RankReductions, largest_abs, reduce_array, warn
@@ -26,7 +26,7 @@ from dolfinx_tresca.pairing.pieces import Pieces, near_lines
 from dolfinx_tresca.pairing.undeformed import straightened
 from dolfinx_tresca.scene.obstacle import RigidMotion, RigidPlane
 from dolfinx_tresca.scene.pair import ContactPair
-from dolfinx_tresca.solution.fields import SurfaceFields
+from dolfinx_tresca.solution.evaluation import Evaluation
 from dolfinx_tresca.solvers.feasible_set import FrictionCones
 
 
@@ -86,15 +86,18 @@ def reason_outside(comm: MPI.Comm, departures: Sequence[Departure], noticed: set
     limits of which the user has been told are added to the set `noticed`.
     """
     # the first rank decides, since values of ranks may differ by rounding
-    departures = comm.bcast([each for each in departures if each.value > each.limit.noticed])
-    outside = [departure for departure in departures if departure.value > departure.limit.largest]
-    told = outside or [departure for departure in departures if departure.limit not in noticed]
-    noticed.update(departure.limit for departure in told)
-    advice = dict.fromkeys(departure.advice for departure in told)
-    text = f"{'; '.join(departure.text for departure in told)}. {'. '.join(advice)}"
-    if told and not outside:
-        warn(comm, "near the end of linear theory: %s", text)
-    return text if outside else ""
+    notable = comm.bcast([each for each in departures if each.value > each.limit.noticed])
+    outside = [each for each in notable if each.value > each.limit.largest]
+    told = outside or [each for each in notable if each.limit not in noticed]
+    if not told:
+        return ""
+    noticed.update(each.limit for each in told)
+    texts = "; ".join(each.text for each in told)
+    advice = ". ".join(dict.fromkeys(each.advice for each in told))  # each advice once
+    if outside:
+        return f"{texts}. {advice}"
+    warn(comm, "near the end of linear theory: %s", f"{texts}. {advice}")
+    return ""
 
 
 def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
@@ -103,18 +106,18 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
     Collective. A body turns by the rotation of the rigid motion that is nearest to u. It deforms by
     the largest displacement beyond this motion, which divided by its diagonal is its strain.
     """
-    comm, values, label = u.function_space.mesh.comm, owned_values(u), bodies.label
-    dim, sums = values.shape[1], RankReductions(comm)
+    sums = RankReductions(u.function_space.mesh.comm)
+    values, dim = owned_values(u), u.function_space.dofmap.index_map_bs
     diagonal = np.linalg.norm(bodies.bounds[:, 3:] - bodies.bounds[:, :3], axis=1)
     # the rigid motion of each body by least squares; a rotation has the angle 1 / diagonal
     modes = bodies.rigid_modes(dim)
     normal_equations = sums.sparse_inner(modes, modes).tocsc()
-    rigid = spsolve(normal_equations, sums.inner(modes, values.ravel()))
-    beyond = np.linalg.norm(values - (modes @ rigid).reshape(-1, dim), axis=1)
+    amounts = spsolve(normal_equations, sums.inner(modes, values.ravel()))
+    angle = np.linalg.norm(amounts.reshape(bodies.count, -1)[:, dim:], axis=1) / diagonal
+    beyond = np.linalg.norm(values - (modes @ amounts).reshape(-1, dim), axis=1)
     own_strain = np.zeros(bodies.count)
-    np.maximum.at(own_strain, label, beyond / diagonal[label])
-    strain = reduce_array(comm, own_strain, MPI.MAX)
-    angle = np.linalg.norm(rigid.reshape(bodies.count, -1)[:, dim:], axis=1) / diagonal
+    np.maximum.at(own_strain, bodies.label, beyond / diagonal[bodies.label])
+    strain = reduce_array(sums.comm, own_strain, MPI.MAX)
     # a sheared body turns on average, too, by about 1.5 times its strain; a stout beam by more
     angle[angle <= 2.0 * strain] = 0.0
     body = int(angle.argmax())
@@ -132,27 +135,25 @@ def motions_of_bodies(u: fem.Function, bodies: Bodies) -> Iterator[Departure]:
 def motions_of_pairs(
     jump: JumpOperator,
     pairs: Sequence[ContactPair],
-    u: fem.Function,
+    solution: Evaluation,
     geometry: fem.Function,
-    tractions: Array,
     motions: Array,
 ) -> Iterator[Departure]:
     """Yield the departures of obstacles that turn, and of pairs whose nodes slide. Collective.
 
-    Slip is no departure with finite sliding, on a rigid plane, which has the same normal
-    everywhere, and where surfaces are bonded. Obstacles turn in a solve only if forces hold them.
+    Of a pair these are the slip of pressed nodes, and the force beyond the other side. Slip is no
+    departure with finite sliding, on a rigid plane, which has the same normal everywhere, and where
+    surfaces are bonded. In a solve, obstacles turn only if forces hold them.
 
-    Pairs with small sliding were paired at the displacement `geometry`. In the solution, u is the
-    displacement, tractions (size,) [stress] are those in B's rows, and `motions` (pairs, 3, 4) are
-    those of the obstacles, as in `RigidMotion.matrix`.
+    Pairs with small sliding were paired at the displacement `geometry`. In the solution, obstacles
+    have the `motions` (pairs, 3, 4), as in `RigidMotion.matrix`.
     """
-    V, since_pairing = u.function_space, u.copy()
+    V, since_pairing = solution.u.function_space, solution.u.copy()
     since_pairing.x.array[:] -= geometry.x.array
-    vectors = jump.vectors(since_pairing)
+    vectors, stresses = jump.vectors(since_pairing), jump.nodal_vectors(solution.multipliers)
     straight_u = straightened(V, geometry.x.array.reshape(-1, V.dofmap.index_map_bs))
-    for pair, operators, jumps, stress, motion in zip(
-        pairs, jump.pairs, vectors, jump.nodal_vectors(tractions), motions, strict=True
-    ):
+    per_pair = zip(pairs, jump.pairs, vectors, stresses, motions, strict=True)
+    for pair, operators, jumps, stress, motion in per_pair:
         if pair.obstacle is not None:
             start, end = pair.obstacle.motion, RigidMotion.from_matrix(motion)
             angle = float(Rotation.from_matrix(end.rotation @ start.rotation.T).magnitude())
@@ -162,55 +163,43 @@ def motions_of_pairs(
             jumps -= _carried(operators.places, start, end)
         if pair.sliding == "finite" or operators.bonded or isinstance(pair.obstacle, RigidPlane):
             continue
+        # the largest values of all pressed nodes: size, slip, slip divided by size; and their box
         force = operators.weights * np.maximum(stress[:, 0], 0.0)
-        yield from _motions_of_pair(V, pair, operators, jumps, force, straight_u)
+        pressed = force > 0.0
+        slips = jumps - dots(jumps, operators.normals)[:, None] * operators.normals
+        length = np.linalg.norm(slips, axis=1)[pressed]
+        places, sizes = operators.places[pressed], operators.sizes[pressed]
+        lengths = np.column_stack([sizes, length, length / sizes])
+        corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
+        extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
+        size, slip, slip_by_size, *bounds = reduce_array(V.mesh.comm, extremes, MPI.MAX)
+        if slip == 0.0:
+            continue
+        highest, negated_lowest = np.split(np.array(bounds), 2)  # coordinates, (d,)
+        extent = float(np.linalg.norm(highest + negated_lowest)) + size
+        text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
+        relative = f"{text}, {slip / extent:.2g} times the size {extent:.3g} of the contact, but "
+        relative += "keep their normals and partners"
+        yield Departure(slip / extent, SLIP, relative, ADVICE_TO_PAIRS)
+        # nodes that slide by less than their own size cannot be farther from the other side
+        if slip_by_size > 1.0 and pair.obstacle is None:
+            # has a node, where the jumps take it, an opposed primary facet within its size?
+            primary = operators.undeformed.displaced(V, straight_u)[-1]
+            points, normals = in_space(operators.places + jumps), in_space(operators.normals)
+            pieces = Pieces(near_lines(V.mesh.comm, primary, points, normals, operators.sizes, 0.0))
+            point, piece = pieces.near(points, operators.sizes)
+            opposed = dots(normals[point], pieces.normals[piece]) < -FACING_COSINE
+            beyond = np.isin(np.arange(len(points)), point[opposed], invert=True)
+            left, total = reduce_array(V.mesh.comm, np.array([force @ beyond, force.sum()]))
+            text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that "
+            text += "have left the other side, but keep their normals and partners"
+            yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
 
 
 def _carried(places: Array, start: RigidMotion, end: RigidMotion) -> Array:
     """Return displacements (n, d) of an obstacle's points at places (n, d), from start to end."""
     points = in_space(places).T
     return (end.applied_to(start.reversed_from(points)) - points).T[:, : places.shape[1]]
-
-
-def _motions_of_pair(
-    V: Any, pair: ContactPair, operators: PairOperators, jumps: Array, force: Array, paired_u: Array
-) -> Iterator[Departure]:
-    """Yield how far pressed nodes slide, and which force is beyond the other side. Collective.
-
-    The jumps (n, d) [length] count from the pairing at the displacement `paired_u` (nodes, d)
-    [length], and `force` (n,) are the normal forces at nodes.
-    """
-    comm, normals = V.mesh.comm, operators.normals
-    slips = jumps - dots(jumps, normals)[:, None] * normals
-    pressed: Mask = force > 0.0
-    length = np.linalg.norm(slips, axis=1)
-    places, sizes = operators.places[pressed], operators.sizes[pressed]
-    # the largest values of all pressed nodes: size, slip, slip divided by size; and their box
-    lengths = np.column_stack([sizes, length[pressed], length[pressed] / sizes])
-    corners = np.hstack([places, -places]).max(axis=0, initial=-np.inf)
-    extremes = np.append(lengths.max(axis=0, initial=0.0), corners)
-    size, slip, slip_by_size, *bounds = reduce_array(comm, extremes, MPI.MAX)
-    if slip == 0.0:
-        return
-    # `bounds` are the largest coordinates, and the negated least ones
-    extent = float(np.linalg.norm(np.add(*np.split(np.array(bounds), 2)))) + size
-    text = f"contact pair {pair}: pressed nodes have slid by {slip:.3g}"
-    relative = f"{text}, {slip / extent:.2g} times the size {extent:.3g} of the contact, but keep "
-    relative += "their normals and partners"
-    yield Departure(slip / extent, SLIP, relative, ADVICE_TO_PAIRS)
-    # nodes that slide by less than their own size cannot be farther from the other side than that
-    if slip_by_size > 1.0 and pair.obstacle is None:
-        # has a node, where the jumps take it, an opposed primary facet within its size?
-        facets, reach = operators.undeformed.displaced(V, paired_u)[-1], operators.sizes
-        points, normals = in_space(operators.places + jumps), in_space(normals)
-        pieces = Pieces(near_lines(comm, facets, points, normals, reach, 0.0))
-        point, piece = pieces.near(points, reach)
-        opposed = dots(normals[point], pieces.normals[piece]) < -FACING_COSINE
-        beyond = np.isin(np.arange(len(points)), point[opposed], invert=True)
-        left, total = reduce_array(comm, np.array([force @ beyond, force.sum()]))
-        text += f", and {100.0 * left / total:.0f} % of the contact force is at nodes that have "
-        text += "left the other side, but keep their normals and partners"
-        yield Departure(left / total, FORCE_BEYOND_PARTNER, text, ADVICE_TO_PAIRS)
 
 
 def hint_at_scene(
@@ -221,12 +210,14 @@ def hint_at_scene(
     thickness = (bodies.bounds[:, 3:] - bodies.bounds[:, :3])[:, :dim].min(axis=1)
     for pair, paired in zip(pairs, operators, strict=True):
         counts = []
-        for tag in (pair.secondary, pair.primary)[: 2 if pair.obstacle is None else 1]:
+        sides = (pair.secondary, pair.primary) if pair.obstacle is None else (pair.secondary,)
+        for tag in sides:
             nodes = fem.locate_dofs_topological(V, dim - 1, pair.facet_tags.find(tag))
             nodes = nodes[nodes < V.dofmap.index_map.size_local]
             counts.append(np.bincount(bodies.label[nodes], minlength=bodies.count))
         touches = reduce_array(comm, counts) > 0  # (sides, bodies)
-        if len(touches) == 2 and touches.any(axis=0).sum() == 1 and not pair.touches_itself:
+        touched = touches.any(axis=0)  # (bodies,)
+        if len(sides) == 2 and touched.sum() == 1 and not pair.touches_itself:
             warn(
                 comm,
                 "both sides of %s are on body %d: it touches itself. If these should be two "
@@ -234,7 +225,7 @@ def hint_at_scene(
                 *(pair, 1 + int(touches[0].argmax())),
             )
         depth = comm.allreduce(float((-paired.gap).max(initial=0.0)), op=MPI.MAX)
-        if depth >= thickness[touches.any(axis=0)].min(initial=np.inf):
+        if depth >= thickness[touched].min(initial=np.inf):
             warn(
                 comm,
                 "%s overlaps by %.3g before anything moves, as deep as a body is thick: are the "
@@ -243,29 +234,25 @@ def hint_at_scene(
             )
 
 
-def hint_at_overlap(
-    u: fem.Function,
-    pairs: Sequence[ContactPair],
-    jump: JumpOperator,
-    surfaces: Sequence[SurfaceFields],
-) -> None:
+def hint_at_overlap(solution: Evaluation, pairs: Sequence[ContactPair], jump: JumpOperator) -> None:
     """Warn where prescribed displacements push the sides of pairs into each other. Collective."""
-    comm, points = jump.comm, u.function_space.tabulate_dof_coordinates()
+    comm, points = jump.comm, solution.u.function_space.tabulate_dof_coordinates()
     rounding = ROUNDING * largest_abs(comm, points)[0]
-    for pair, operators, closing, surface in zip(
-        pairs, jump.pairs, jump.closings(u), surfaces, strict=True
-    ):
+    per_pair = zip(pairs, jump.pairs, jump.closings(solution.u), solution.surfaces, strict=True)
+    for pair, operators, closing, surface in per_pair:
         if pair.obstacle is not None and surface.obstacle is not None:
             carried = _carried(operators.places, pair.obstacle.motion, surface.obstacle.motion)
             closing -= dots(carried, operators.normals)
-        depth = (closing - operators.gap) * (operators.prescribed & ~operators.has_normal_row)
+        without_pressure = operators.prescribed & ~operators.has_normal_row
+        depth = (closing - operators.gap) * without_pressure
         deepest = comm.allreduce(float(depth.max(initial=0.0)), op=MPI.MAX)
         if deepest <= rounding:
             continue
         count = comm.allreduce(len(np.unique(operators.nodes[depth > rounding])))
         # the least of all equally deep points: the same with any number of ranks
         deepest_points = points[operators.nodes[depth >= deepest - rounding]]
-        place = min(comm.allgather(min(map(tuple, deepest_points.tolist()), default=(np.inf,))))
+        least_on_rank = min(map(tuple, deepest_points.tolist()), default=(np.inf,))
+        place = min(comm.allgather(least_on_rank))
         warn(
             comm,
             "%s overlaps by up to %.3g, at %s: Dirichlet conditions prescribe the displacement "
@@ -290,9 +277,10 @@ def hint_at_weakening(comm: Any, cones: FrictionCones, x: Array, eigenvalue: flo
     face = section.face(2.0 * x)  # nodes on their circles slip
     by_pressure, by_slip = cones.slopes(x, face.slip)
     # the mean decrease of bounds from rest to the present slip
-    at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x).radius
+    at_rest = dataclasses.replace(cones, slip=np.zeros_like(cones.slip)).section(x)
     slips = face.slip & (cones.slip > 0.0)
-    mean = np.divide(section.radius - at_rest, cones.slip, out=np.zeros_like(by_slip), where=slips)
+    growth = section.radius - at_rest.radius  # of the bounds
+    mean = np.divide(growth, cones.slip, out=np.zeros_like(by_slip), where=slips)
     steepest = min(by_slip.min(initial=0.0), mean.min(initial=0.0))
     least = [by_pressure.min(initial=0.0), eigenvalue * steepest]
     falling, weakening = reduce_array(comm, np.array(least), MPI.MIN)
