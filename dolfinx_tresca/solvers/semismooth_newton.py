@@ -97,7 +97,7 @@ class SemismoothNewton:
     Attributes:
         mean_diagonal: (size,) D, with its mean in each friction disc.
         rho: (size,) step lengths of the active sets.
-        softness: what the first step adds to S, see `step`.
+        softness: number by which the first step softens S, see `step`.
         constraint_scale: (k,) sums of G^2 / D, by which `energy` divides squared residuals of the
             constraints; 1 for a constraint without multipliers.
         load: the norm `energy` of the loads: of rho b, the change of zero multipliers by a gradient
