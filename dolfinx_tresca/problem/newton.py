@@ -14,6 +14,8 @@ from dolfinx import fem
 
 from dolfinx_tresca._base.arguments import checked_integer, checked_number
 from dolfinx_tresca._base.arrays import Array
+from dolfinx_tresca._base.compat import collapse
+from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import largest_abs, log, reduce_array
 from dolfinx_tresca._base.tolerances import FORCING
 from dolfinx_tresca.contact.finite_sliding import FiniteSliding, add_cost
@@ -39,19 +41,19 @@ BALANCE = 100.0
 #: enough: with added stiffness it converges linearly, and steps cost less than a smaller load.
 MAX_ITERATIONS_FACTOR = 4
 
+#: The entries of `ADDED` with springs alone, at first none.
+SPRINGS_ALONE = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0))
+
 #: Stiffness that is added to a tangent which is not positive definite, in the order of trial: the
 #: stiffness of springs in the contact, relative to that of a single node, and the factor of the
 #: undeformed bodies' stiffness (arguments of `factor`). Blocks of rubber compressed by 40 % buckle
 #: with springs of 1; springs of 10,000 almost prevent sliding. The least factor that suffices takes
 #: the fewest steps: with 0.1 and 1 only, an arch that a ball pushes through takes 404, not 57.
-ADDED = (
-    *((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0)),
-    *((10.0, factor) for factor in (0.01, 0.03, 0.1, 0.3, 1.0)),
-)
+ADDED = SPRINGS_ALONE + tuple((10.0, factor) for factor in (0.01, 0.03, 0.1, 0.3, 1.0))
 
 #: Index of the first entry of `ADDED` that slows Newton's method down. The springs of earlier
 #: entries do not change the iterates as long as nodes stay in contact.
-FIRST_SLOW = [proximal > 0.0 for _, proximal in ADDED].index(True)
+FIRST_SLOW = len(SPRINGS_ALONE)
 
 #: Bodies have snapped if they release more than `SNAP` times the energy that they exchange with
 #: contact or store, whichever is larger, and move more than `FAR` times as far as obstacles and
@@ -289,7 +291,7 @@ class Newton:
 
     def run(self) -> None:
         """Apply the change of load in parts, halved after a failure, then doubled. Collective."""
-        problem, increment = self.problem, 1.0
+        problem, tangent, increment = self.problem, self.problem.tangent, 1.0
         while self.fraction < 1.0:
             state, fraction = problem.state, min(1.0, self.fraction + increment)
             try:
@@ -301,11 +303,19 @@ class Newton:
                 self.fraction, self.unbalanced, self.flips = fraction, None, None
                 increment *= 2.0
                 if self._iteration is not None and self.fraction == 1.0:
-                    self.observe(replace(self._iteration, newton=self._progress(ended=True)))
+                    self._observed(self._iteration, ended=True)
                 continue
             log(problem.comm, "Newton's method: %s", self.failure)
-            self.unbalanced = problem.unbalanced_forces()
-            self.flips = problem.function_at_nodes("flips", self._flips)
+            # for users: forces out of balance, and how often contact began or ended at each node
+            try:
+                residual = tangent.residual(problem.contact_forces())
+            except StiffnessError:  # the user's function has no stresses here
+                residual = np.full(len(tangent.prescribed), np.nan)
+            forces = with_owned_values(tangent.space, residual)
+            self.unbalanced = tangent.displacement(forces, "unbalanced")
+            space, dofs = collapse(tangent.V.sub(0))
+            owned = dofs[: space.dofmap.index_map.size_local] // tangent.V.dofmap.bs
+            self.flips = with_owned_values(space, self._flips[owned], "flips")
             problem.return_to(state)
             increment *= 0.5
             if self.stopped or self.stuck:
@@ -345,7 +355,7 @@ class Newton:
             except StiffnessError as error:
                 self.stuck = number == 1
                 return f"{where}: {str(error).rstrip('.')}"
-            scale, correction, residual, fault = self._move_to(solution)
+            scale, correction, residual, fault = self._move_to(solution, number)
             pressed_before, pressed = pressed, problem.normal_forces_at_nodes() > 0.0
             if number > 1:
                 self._flips += (pressed != pressed_before).any(axis=0)
@@ -356,12 +366,11 @@ class Newton:
             # the residual grows before it falls: from 7e-4 to 2e-2 to 7e-5 in a block that snaps.
             grows = number > 2 and norm >= norm_before and self.level == 0
             stalls = number > 2 and norm >= STALLED * norm_before
-            reached = residual <= self.options.accuracy or (
-                stalls and problem.comm.bcast(norm <= problem.rounding_norm())
-            )
+            reached = residual <= self.options.accuracy
+            if stalls and not reached:
+                reached = problem.comm.bcast(norm <= problem.rounding_norm())
             if self.fraction == 0.0 or reached:
                 self.solution = solution
-            self._record(number, solution, correction, residual)
             log(problem.comm, "%s: residual %.1e, correction %.1e", where, residual, correction)
             if solution.status is ContactStatus.STOPPED:
                 self.stopped = True
@@ -391,21 +400,10 @@ class Newton:
                 return failure
             norm_before = norm
 
-    def _record(
-        self, number: int, solution: ContactSolution, correction: float, residual: float
-    ) -> None:
-        """Add a step, and its cost, to the record that users see (`steps`). Not collective."""
-        add_cost(self.cost, solution)
-        springs, proximal = ADDED[self.level]
-        names = [f"contact {springs:g}"] * (springs > 0.0)
-        names += [f"proximal {proximal:g}"] * (proximal > 0.0)
-        norms = correction, residual, solution.residuals[-1]
-        counts = solution.iterations, solution.products, solution.counts.contact
-        fraction = self.problem.tangent.fraction
-        self.steps.append(NewtonStep(number, fraction, *norms, *counts, ", ".join(names)))
+    def _move_to(self, solution: ContactSolution, number: int) -> tuple[float, float, float, str]:
+        """Make a step's displacement the present u, measure the step, and add it to `steps`.
 
-    def _move_to(self, solution: ContactSolution) -> tuple[float, float, float, str]:
-        """Make a step's displacement the present u, and measure the step. Collective.
+        Collective.
 
         Returns:
             scale: the norm to which errors are relative, see `NewtonOptions.accuracy`.
@@ -424,21 +422,28 @@ class Newton:
             residual, fault = math.nan, str(error).rstrip(".")
         if self.level > 0:
             balance = BALANCE * problem.norm_of_correction(problem.contact_forces())
-            scale = min(scale, balance or scale)
+            scale = min(scale, balance) if balance > 0.0 else scale
         scale = scale or problem.rounding_norm() / self.options.accuracy
         # sums may differ between ranks in the last digit, verdicts must not
         scale, correction, residual = problem.comm.bcast((scale, change / scale, residual / scale))
+        springs, proximal = ADDED[self.level]  # the second is added to the first only
+        added = f"contact {springs:g}" if springs > 0.0 else ""
+        if proximal > 0.0:
+            added += f", proximal {proximal:g}"
+        # for users: the step and its cost
+        fraction, contact_residual = problem.tangent.fraction, solution.residuals[-1]
+        counts = solution.iterations, solution.products, solution.counts.contact
+        step = NewtonStep(number, fraction, correction, residual, contact_residual, *counts, added)
+        self.steps.append(step)
+        add_cost(self.cost, solution)
         return scale, correction, residual, fault
 
-    def _progress(self, *, ended: bool = False) -> NewtonProgress:
-        """Return the progress of the steps, for observers. Not collective."""
+    def _observed(self, iteration: Iteration, *, ended: bool = False) -> bool:
+        """Show an iteration of a contact solve to the user; return whether to stop. Collective."""
         residual = self.steps[-1].residual if self.steps else math.inf
         number = len(self.steps) + (not ended)
-        return NewtonProgress(number, self.problem.tangent.fraction, residual, ended)
-
-    def _observed(self, iteration: Iteration) -> bool:
-        """Show an iteration of a contact solve to the user; return whether to stop. Collective."""
-        self._iteration = replace(iteration, newton=self._progress())
+        progress = NewtonProgress(number, self.problem.tangent.fraction, residual, ended)
+        self._iteration = replace(iteration, newton=progress)
         return self.observe(self._iteration)
 
     def _may_continue(self, errors: list[float]) -> bool:
@@ -450,17 +455,18 @@ class Newton:
         half of the steps, becomes 1 within as many. Rates are those of the least error so far,
         since Anderson's acceleration makes errors of the configuration jump up and down.
         """
-        most, number = self.options.max_iterations, len(errors)
+        number, allowed = len(errors), self.options.max_iterations
+        most = MAX_ITERATIONS_FACTOR * allowed
         snaps = any(step.is_proximal for step in self.steps[-number:])
         snaps |= self._sliding is not None and self._sliding.snaps
-        if number < most * (MAX_ITERATIONS_FACTOR if snaps else 1):
+        if number < allowed or (snaps and number < most):
             return True
         middle = (number - 1) // 2
         least, least_before = min(errors), min(errors[: middle + 1])
         if number == 1 or not 0.0 < least < least_before < math.inf:
             return False
         rate = (least / least_before) ** (1.0 / (number - 1 - middle))
-        return bool(least * rate ** (MAX_ITERATIONS_FACTOR * most - number) <= 1.0)
+        return bool(least * rate ** (most - number) <= 1.0)
 
     def _step(self) -> ContactSolution:
         """Solve a contact problem with the least of `ADDED` that makes K definite. Collective."""

@@ -54,10 +54,10 @@ class NonlinearContactSolution(ContactSolution):
     def _rows(self) -> list[Row]:
         newton = f"{len(self.newton.steps)} steps, residual {self.newton.residual:.1e}"
         rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
-        result = [rows[0], ("Newton", newton), *rows[1:]]
+        rows.insert(1, ("Newton", newton))
         if self.newton.snaps:
-            result.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))
-        return result
+            rows.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))
+        return rows
 
 
 def _check_options(options: Any, newton: Any) -> None:
@@ -177,8 +177,8 @@ class NonlinearContactProblem(ContactProcess):
             StiffnessError: this tangent is not symmetric, or is indefinite.
         """
         check_type("F", F, ufl.Form, "a UFL form")
-        for name, function in (("before_assembly", before_assembly), ("on_accept", on_accept)):
-            check_type(name, function, Callable | None, "a function or None")
+        check_type("before_assembly", before_assembly, Callable | None, "a function or None")
+        check_type("on_accept", on_accept, Callable | None, "a function or None")
         if not isinstance(u, fem.Function) or (
             u not in F.coefficients() and (before_assembly is None or J is None)
         ):
@@ -294,8 +294,22 @@ class NonlinearContactProblem(ContactProcess):
         finally:
             self._contact.end_load(run.fraction)
         self._contact.state = replace(self._contact.state, end=self.u.x.array.copy())
-        released, snaps = balance.released(run.start) if run.fraction == 1.0 else (np.nan, False)
-        self._warn_of_trouble(run, released, snaps)
+        released, snaps = np.nan, False
+        if run.fraction == 1.0:
+            released, snaps = balance.released(run.start)
+        if snaps:
+            text = (
+                "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
+                "stored nor dissipated by friction. A quasi-static solution does not tell the path "
+                "to this equilibrium"
+            )
+            warn(self.comm, text, self._solves, released)
+        if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
+            text = (
+                "solve number %d took %d Newton steps: its change of load is too large, or bodies "
+                "snap or are unstable. More load steps, each with a smaller change, may be faster"
+            )
+            warn(self.comm, text, self._solves, len(run.steps))
         if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "
@@ -307,38 +321,19 @@ class NonlinearContactProblem(ContactProcess):
         if run.fraction < 1.0:
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.state = self._contact.state.with_status(status)
-            message = self._failure_message(run)
-        results = message, released, snaps, run.unbalanced, run.flips
-        record = NewtonRecord(tuple(run.steps), run.fraction, *results)
+            hint = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
+            hint += (
+                "smaller ones, more steps: NewtonOptions(max_halvings=..., max_iterations=...). "
+            )
+            message = (
+                f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
+                f"{run.failure}. {'' if run.stuck else hint}Look at `u`: bodies that snap through, "
+                "buckle or crease have no equilibrium nearby; free faces beside a sharp edge of "
+                "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
+                "are squeezed flat need another mesh."
+            )
+        record = NewtonRecord(
+            tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
+        )
         values = vars(solution) | run.cost | {"status": status, "newton": record}
         return self._contact.checked(NonlinearContactSolution(**values))
-
-    def _warn_of_trouble(self, run: Newton, released: float, snaps: bool) -> None:
-        """Warn if bodies have snapped, or if a solve took many Newton steps. Not collective."""
-        if snaps:
-            warn(
-                self.comm,
-                "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
-                "stored nor dissipated by friction. A quasi-static solution does not tell the path "
-                "to this equilibrium",
-                *(self._solves, released),
-            )
-        if len(run.steps) > 2 * run.options.max_iterations:  # most load steps take 4 to 8
-            warn(
-                self.comm,
-                "solve number %d took %d Newton steps: its change of load is too large, or bodies "
-                "snap or are unstable. More load steps, each with a smaller change, may be faster",
-                *(self._solves, len(run.steps)),
-            )
-
-    def _failure_message(self, run: Newton) -> str:
-        """Return why a solve reached only a part of its load, with advice. Not collective."""
-        hint = f"Parts down to {0.5**run.options.max_halvings:.3g} of the change were tried: allow "
-        hint += "smaller ones, more steps: NewtonOptions(max_halvings=..., max_iterations=...). "
-        return (
-            f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
-            f"{run.failure}. {hint * (not run.stuck)}Look at `u`: bodies that snap through, buckle "
-            "or crease have no equilibrium nearby; free faces beside a sharp edge of the contact "
-            "fold sooner on finer meshes (take a coarser mesh there); cells that are squeezed flat "
-            "need another mesh."
-        )

@@ -15,7 +15,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinx_tresca._base.arrays import ROUNDING, Array, Mask
-from dolfinx_tresca._base.compat import EntityMaps, collapse
+from dolfinx_tresca._base.compat import EntityMaps
 from dolfinx_tresca._base.functions import with_owned_values
 from dolfinx_tresca._base.parallel import errors_on_all_ranks, largest_abs
 from dolfinx_tresca._base.tolerances import ROUGH
@@ -181,7 +181,8 @@ class TangentSystem(LinearSystem):
         If all forces are rounding errors of the terms whose sums they are, they are set to zero:
         else unloaded linear bodies would shrink step by step until squares of numbers underflow.
         """
-        values, u = self.prescribed_values(), np.array(self.u.x.array[: len(self.prescribed)])
+        values = self.prescribed_values()
+        u = np.array(self.u.x.array[: len(self.prescribed)])
         terms = np.abs(self.K.getDiagonal().array * u)
         # prescribed values are eliminated: f is K (u_k - values) - R(u_k) + h at other unknowns
         u[self.prescribed] -= values
@@ -189,9 +190,11 @@ class TangentSystem(LinearSystem):
         terms += np.abs(product) + np.abs(residual)
         owned = self.f.x.array[: len(u)]
         owned[:] = product - residual + self.added_forces
-        rows = self.moves, ~(self.moves | self.prescribed)
-        sizes = largest_abs(self.comm, *(array[row] for array in (owned, terms) for row in rows))
-        if sizes[0] <= ROUNDING * sizes[2] and sizes[1] <= ROUNDING * sizes[3]:
+        further = ~(self.moves | self.prescribed)  # unknowns of a mixed space, such as a pressure
+        force, further_force, term, further_term = largest_abs(
+            self.comm, owned[self.moves], owned[further], terms[self.moves], terms[further]
+        )
+        if force <= ROUNDING * term and further_force <= ROUNDING * further_term:
             owned[:] = 0.0
         owned[self.prescribed] = values
         self.f.x.scatter_forward()
@@ -304,27 +307,25 @@ class TangentProblem(ContactSystem):
         jump, tangent = self.jump, self.tangent
         u = fem.Function(tangent.space)
         u.x.array[:] = self.u.x.array
-        u.x.array[: len(tangent.prescribed)][tangent.prescribed] = tangent.prescribed_values()
+        owned = u.x.array[: len(tangent.prescribed)]
+        owned[tangent.prescribed] = tangent.prescribed_values()
         u.x.scatter_forward()
         missing = jump.gap + self.history_of_solve().origin - jump.of_unknowns(u.x.petsc_vec)
         B = jump.matrix.copy()
         rows, columns = B.createVecLeft(), B.createVecRight()
-        rows.array = np.sqrt(factor * self._rows_in_contact() * self._nodal_stiffness())
+        in_contact = self._rows_in_contact()
+        if self._stiffness_for is None or self._stiffness_for[0] is not jump:
+            # the stiffness (size,) of each row's node in the reference tangent, kept for the jump
+            with replaced([self.u], [self._reference]):
+                tangent.assemble_stiffness()
+            self._stiffness_for = jump, local_stiffness(jump)
+        rows.array = np.sqrt(factor * in_contact * self._stiffness_for[1])  # C^(1/2)
         columns.array = np.where(tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)  # C^(1/2) B_a, zero in prescribed columns
         springs = B.transposeMatMult(B)
         rows.array *= missing  # C^(1/2) (j - B_a u_k)
         B.multTranspose(rows, columns)
         return springs, np.array(columns.array)
-
-    def _nodal_stiffness(self) -> Array:
-        """Return each row's `local_stiffness` (size,) in the reference tangent. Collective."""
-        jump = self.jump
-        if self._stiffness_for is None or self._stiffness_for[0] is not jump:
-            with replaced([self.u], [self._reference]):
-                self.tangent.assemble_stiffness()
-            self._stiffness_for = jump, local_stiffness(jump)
-        return self._stiffness_for[1]
 
     def _rows_in_contact(self) -> Mask:
         """Return a mask (size,) of the rows of B in contact at the present u_k. Collective.
@@ -427,40 +428,22 @@ class TangentProblem(ContactSystem):
         """Return the `norm_of_correction` of the rounding errors of R(u_k). Collective.
 
         It is `ROUNDING` sqrt(n u_k'D u_k + |X|_K^2), with the diagonal D of K in rows of
-        displacements, the mean number n of entries in a row, and X, `_position`. A force is the sum
-        of n terms of the size D_i |u_i|, whose rounding adds up to sqrt(n) times that of one; as
-        (K^-1)_ii >= 1 / D_i, the mean square norm is at least the first term. Stresses that depend
-        on the gradient of X + u_k are rounded as if X, whose gradient is 1, were a displacement.
+        displacements, the mean number n of entries in a row, and the positions X of nodes from
+        their middle. A force is the sum of n terms of the size D_i |u_i|, whose rounding adds up to
+        sqrt(n) times that of one; as (K^-1)_ii >= 1 / D_i, the mean square norm is at least the
+        first term. Stresses that depend on the gradient of X + u_k are rounded as if X, whose
+        gradient is 1, were a displacement.
         """
-        K, moves = self.tangent.K, self.tangent.moves
+        K, V, moves = self.tangent.K, self.tangent.V, self.tangent.moves
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
         terms = np.abs(K.getDiagonal().array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
         total = entries * self.comm.allreduce(float(terms.sum()))
-        position = self._norm(self._position())
-        return ROUNDING * math.hypot(math.sqrt(total), position)
-
-    def _position(self) -> fem.Function:
-        """Return positions of nodes from their middle, as a displacement [length]. Collective."""
-        V = self.tangent.V
-        nodes, x = V.dofmap.index_map, V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
-        middle = self.comm.allreduce(x[: nodes.size_local].sum(axis=0)) / nodes.size_global
+        nodes = V.dofmap.index_map
+        x = V.tabulate_dof_coordinates()[: nodes.size_local, : V.mesh.geometry.dim]
+        middle = self.comm.allreduce(x.sum(axis=0)) / nodes.size_global
         middle[0] *= not self.tangent.axisymmetric  # a radial translation would be a strain
-        return with_owned_values(V, (x - middle)[: nodes.size_local])
-
-    def unbalanced_forces(self) -> fem.Function:
-        """Return R(u_k) + B'lambda - h [force] at nodes, NaN if R is not known. Collective."""
-        try:
-            residual = self.tangent.residual(self.contact_forces())
-        except StiffnessError:  # the user's function has no stresses here
-            residual = np.full(len(self.tangent.prescribed), np.nan)
-        forces = with_owned_values(self.tangent.space, residual)
-        return self.tangent.displacement(forces, "unbalanced")
-
-    def function_at_nodes(self, name: str, values: Array) -> fem.Function:
-        """Return a scalar Function with the values (owned nodes of u,) and a name. Collective."""
-        space, dofs = collapse(self.tangent.V.sub(0))
-        owned = dofs[: space.dofmap.index_map.size_local]
-        return with_owned_values(space, values[owned // self.tangent.V.dofmap.bs], name)
+        norm_of_X = self._norm(with_owned_values(V, x - middle))
+        return ROUNDING * math.hypot(math.sqrt(total), norm_of_X)
 
     def energy_norm(self, values: Array) -> float:
         """Return sqrt(v'K v) for the values of v on this rank, with ghosts. Collective.

@@ -37,31 +37,24 @@ def check_field(value: ScalarField | VectorField, shape: tuple[int, ...], name: 
     Values, and what functions of points return, are checked when rooms above evaluate the field.
     """
     field = expression_of(value)
-    if isinstance(field, Expr):
-        _check_expression(field, shape, name)
-    elif isinstance(field, type) or not callable(field):
+    if not isinstance(field, Expr):
+        if callable(field) and not isinstance(field, type):
+            return
         number = real(field)
         numbers = np.asarray(field if number is None else number)
         if numbers.dtype.kind not in "iuf" or numbers.shape != shape or np.isnan(numbers).any():
+            kind = "three numbers" if shape else "a number"
             raise InputError(
-                f"{name} must be {'three numbers' if shape else 'a number'}, a fem.Constant, "
-                "fem.Function, fem.Expression or UFL expression of this shape, or a function of "
-                f"points, found {shown(value)}."
+                f"{name} must be {kind}, a fem.Constant, fem.Function, fem.Expression or UFL "
+                f"expression of this shape, or a function of points, found {shown(value)}."
             )
-
-
-def expression_of(field: ScalarField | VectorField) -> Any:
-    """Return the UFL expression in a `fem.Expression`, and fields of other types unchanged."""
-    return field.ufl_expression if isinstance(field, fem.Expression) else field
-
-
-def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> None:
-    """Check that an expression has the given shape, is real, and has single values at nodes."""
-    if expression.ufl_shape != shape or expression.ufl_free_indices:
+        return
+    # an expression is real, has the given shape, and has single values at nodes
+    if field.ufl_shape != shape or field.ufl_free_indices:
         kind = "a vector of three components" if shape else "a scalar"
-        free = " and free indices" * bool(expression.ufl_free_indices)
-        raise InputError(f"{name} must be {kind}, found shape {expression.ufl_shape}{free}.")
-    for operand in unique_pre_traversal(expression):
+        free = " and free indices" if field.ufl_free_indices else ""
+        raise InputError(f"{name} must be {kind}, found shape {field.ufl_shape}{free}.")
+    for operand in unique_pre_traversal(field):
         dtype = np.dtype(getattr(operand, "dtype", np.float64))
         if dtype != np.float64:
             raise InputError(f"{name} must be of type float64, found {dtype} in {_text(operand)}.")
@@ -76,9 +69,14 @@ def _check_expression(expression: Expr, shape: tuple[int, ...], name: str) -> No
             continuous = not isinstance(operand, Derivative | GeometricQuantity)
         if not (continuous or isinstance(operand, ufl.SpatialCoordinate)):
             raise InputError(
-                f"{name} {_text(expression)} has no value at nodes, since {_text(operand)} is not "
+                f"{name} {_text(field)} has no value at nodes, since {_text(operand)} is not "
                 "continuous. Interpolate or project it into a continuous space."
             )
+
+
+def expression_of(field: ScalarField | VectorField) -> Any:
+    """Return the UFL expression in a `fem.Expression`, and fields of other types unchanged."""
+    return field.ufl_expression if isinstance(field, fem.Expression) else field
 
 
 def field_text(value: ScalarField | VectorField) -> str:
@@ -123,18 +121,19 @@ class FrictionCurve:
         pressures, slips = np.meshgrid(grid, grid, indexing="ij")  # slips differ along a row
         with np.errstate(all="ignore"):
             F = self.values(pressures.ravel(), slips.ravel()).reshape(slips.shape)
-        return not np.array_equal(F, np.broadcast_to(F[:, :1], F.shape), equal_nan=True)
+        without_slip = np.broadcast_to(F[:, :1], F.shape)
+        return not np.array_equal(F, without_slip, equal_nan=True)
 
     def values(self, pressure: Array, slip: Array) -> Array:
         """Return F (n,) at pressures (n,) [stress] and slips (n,) [length]."""
-        result, count = self.function(pressure, slip), len(pressure)
+        result = self.function(pressure, slip)
         values = np.asarray(result)
-        if values.shape not in ((), (count,)) or values.dtype.kind not in "biuf":
+        if values.shape not in ((), pressure.shape) or values.dtype.kind not in "biuf":
             raise InputError(
                 "a coefficient that depends on pressure and slip must be real, a number or an "
-                f"array of shape ({count},), found {shown(result)} of type {values.dtype}."
+                f"array of shape {pressure.shape}, found {shown(result)} of type {values.dtype}."
             )
-        return np.broadcast_to(values.astype(np.float64), (count,))
+        return np.broadcast_to(values.astype(np.float64), pressure.shape)
 
     def slopes(self, pressure: Array, slip: Array) -> tuple[Array, Array]:
         """Return the difference quotients dF/dp (n,) [1 / stress] and dF/dv (n,) [1 / length].
@@ -142,13 +141,13 @@ class FrictionCurve:
         dF/dp is 0 where the pressure is 0, and dF/dv where the slip is 0.
         """
         low, high = 1.0 - DIFFERENCE, 1.0 + DIFFERENCE
-        dp, dv = high * pressure - low * pressure, high * slip - low * slip
+        dp = high * pressure - low * pressure
+        dv = high * slip - low * slip
         change_with_p = self.values(high * pressure, slip) - self.values(low * pressure, slip)
         change_with_v = self.values(pressure, high * slip) - self.values(pressure, low * slip)
-        return (
-            np.divide(change_with_p, dp, out=np.zeros_like(dp), where=dp > 0.0),
-            np.divide(change_with_v, dv, out=np.zeros_like(dv), where=dv > 0.0),
-        )
+        slope_with_p = np.divide(change_with_p, dp, out=np.zeros_like(dp), where=dp > 0.0)
+        slope_with_v = np.divide(change_with_v, dv, out=np.zeros_like(dv), where=dv > 0.0)
+        return slope_with_p, slope_with_v
 
 
 def curve_of(coefficient: object) -> FrictionCurve | None:
@@ -358,8 +357,8 @@ class Coulomb(DryFriction):
     def __str__(self) -> str:
         more = "" if self.limit is None else f", slip bound at most {field_text(self.limit)}"
         if real(self.adhesion) != 0.0:
-            more += "," if self.limit is None else " beside the"
-            more += f" adhesion {field_text(self.adhesion)}"
+            more += ", adhesion " if self.limit is None else " beside the adhesion "
+            more += field_text(self.adhesion)
         return f"coefficient of friction {_bound_text(self.coefficient, self.direction)}{more}"
 
 
@@ -390,7 +389,7 @@ def _bound_text(bound: Bound | Callable[[Any, Any], Any], direction: VectorField
     if curve_of(bound) is not None:
         return "a function of pressure and slip"
     if isinstance(bound, tuple) and direction is not None:
-        along, across = (field_text(value) for value in bound)
+        along, across = field_text(bound[0]), field_text(bound[1])
         return f"along {field_text(direction)} and across: {along} and {across}"
     return field_text(cast(ScalarField, bound))
 

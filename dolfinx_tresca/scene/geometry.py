@@ -253,16 +253,19 @@ def _is_flat(model: Any, dim: int, entity: int) -> bool:
     """Return whether a surface (dim = 2) is plane, or a curve (dim = 1) is straight."""
     if model.getType(dim, entity) in ("Plane", "Line"):
         return True
-    points = _points_at(model, dim, entity, _grid(model, dim, entity, per_axis=5))
+    _, points = _samples(model, dim, entity, per_axis=5)
     # the extents along the principal axes, from the largest to the least
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(extents[dim] <= 1e-9 * extents[0])  # less is rounding
 
 
-def _grid(model: Any, dim: int, entity: int, per_axis: int) -> Array:
-    """Return the parameters (per_axis^dim, dim) of a grid of points on a surface or a curve."""
+def _samples(model: Any, dim: int, entity: int, per_axis: int) -> tuple[Array, Array]:
+    """Return the parameters (n, dim) and points (n, 3) of a grid on a surface or a curve."""
     low, high = model.getParametrizationBounds(dim, entity)
-    return np.stack(np.meshgrid(*np.linspace(low, high, per_axis).T), axis=-1).reshape(-1, dim)
+    axes = np.linspace(low, high, per_axis).T  # (dim, per_axis)
+    grid = np.meshgrid(*axes)  # an array for each parameter
+    parameters = np.stack(grid, axis=-1).reshape(-1, dim)
+    return parameters, _points_at(model, dim, entity, parameters)
 
 
 def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
@@ -306,8 +309,9 @@ def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
     if model.getType(*entity) == BUILT_IN_SURFACE and not _is_flat(model, *entity):
         return _nearest_by_gauss_newton(model, entity[1], points)
     nearest = np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
+    ends = model.getParametrizationBounds(*entity) if entity[0] == 1 else ()
     # OpenCASCADE's search misses the end of an arc that ends where its circle begins
-    for end in np.ravel(model.getParametrizationBounds(*entity) if entity[0] == 1 else ()):
+    for end in np.ravel(ends):
         point = np.reshape(model.getValue(*entity, [end]), (3, 1))
         nearer = np.linalg.norm(point - points, axis=0) < np.linalg.norm(nearest - points, axis=0)
         nearest[:, nearer] = point
@@ -322,17 +326,16 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     """
     # start at the nearest of 32 x 32 points of the surface
     low, high = model.getParametrizationBounds(2, surface)
-    grid = _grid(model, 2, surface, per_axis=32)
-    locate = partial(_points_at, model, 2, surface)
-    samples = locate(grid)
+    grid, samples = _samples(model, 2, surface, per_axis=32)
     rounding = PROJECTION_ROUNDING * np.ptp(samples, axis=0).max()
     parameters = grid[cKDTree(samples).query(points.T)[1]]
     for _ in range(20):  # on the surfaces of the package's meshes it takes three steps
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
         # Gauss-Newton: parameters' step with which the tangent plane comes nearest to the point
-        step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - locate(parameters))[:, :, None]
+        offsets = points.T - _points_at(model, 2, surface, parameters)  # (n, 3)
+        step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ offsets[:, :, None]  # (n, 2, 1)
         previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
         shifts = np.einsum("ni,nik->nk", parameters - previous, tangents)
         if np.abs(shifts).max(initial=0.0) <= rounding:
             break
-    return locate(parameters).T
+    return _points_at(model, 2, surface, parameters).T

@@ -86,7 +86,8 @@ class MergedTags(NamedTags):
         for kept, merged in self.merged.items():
             names[kept] = abridged_names(merged, given)
             values[np.isin(values, merged)] = kept
-        cell_tags, geometry = (getattr(given, name, None) for name in ("cell_tags", "geometry"))
+        cell_tags = getattr(given, "cell_tags", None)
+        geometry = getattr(given, "geometry", None)
         super().__init__(compat.with_values(given, values), names, cell_tags, geometry)
 
 
@@ -163,9 +164,9 @@ def read_gmsh(
     geometry: GmshGeometry | None = None
     if isinstance(path, tuple):  # from model_to_mesh
         mesh, cell_tags, facet_tags = path[:3]
-        for kind, tags_of_kind in (("cells", cell_tags), ("facets", facet_tags)):
-            wanted = "MeshTags, from physical groups of all bodies and surfaces"
-            check_type(f"the tags of {kind}", tags_of_kind, MeshTags, wanted)
+        wanted = "MeshTags, from physical groups of all bodies and surfaces"
+        check_type("the tags of cells", cell_tags, MeshTags, wanted)
+        check_type("the tags of facets", facet_tags, MeshTags, wanted)
         named = getattr(path, "physical_groups", {})
         groups = [(dim, tag, name) for name, (dim, tag) in named.items()]
     else:
@@ -181,12 +182,12 @@ def read_gmsh(
             mesh, cell_tags, facet_tags = compat.model_to_mesh(model, comm, 0)
     if geometry is not None and not geometry.curved:
         geometry = None
-    dims = cell_tags.dim, facet_tags.dim
-    # dimension -> tag -> name
-    names = {d: {tag: name for dim, tag, name in groups if dim == d and name} for d in dims}
-    cells = NamedTags(cell_tags, names[cell_tags.dim])
-    facets = NamedTags(facet_tags, names[facet_tags.dim], cells, geometry)
-    tags = {name or str(tag): tag for dim, tag, name in groups if dim in dims}
+    cell_dim, facet_dim = cell_tags.dim, facet_tags.dim
+    cell_names = {tag: name for dim, tag, name in groups if dim == cell_dim and name}
+    facet_names = {tag: name for dim, tag, name in groups if dim == facet_dim and name}
+    cells = NamedTags(cell_tags, cell_names)
+    facets = NamedTags(facet_tags, facet_names, cells, geometry)
+    tags = {name or str(tag): tag for dim, tag, name in groups if dim in (cell_dim, facet_dim)}
     return TaggedMesh(mesh, cells, facets, tags, geometry)
 
 
@@ -211,8 +212,23 @@ def _meshed(
         parameters["size"] = size
     if is_file:
         open_file(gmsh, source, {}, unit=unit)
-    if parameters:  # the open file tells which names it declares
-        check_parameters(gmsh, source, parameters)
+    if parameters:
+        if suffix != ".geo":
+            raise InputError(
+                f"'{source}' takes no parameters, found {', '.join(parameters)}. Read the .geo "
+                "file that it was made from instead."
+            )
+        # the open file tells which names it declares
+        names = gmsh.parser.getNames()
+        unknown = [name for name in parameters if name not in names]
+        if unknown:  # Gmsh's list does not tell parameters from the file's own variables
+            text = source.read_text(errors="replace")
+            texts = " ".join(re.findall(r"DefineConstant\s*\[.*?\]\s*;", text, flags=re.S))
+            declared = [name for name in names if re.search(rf"\b{re.escape(name)}\b", texts)]
+            raise InputError(
+                f"'{source}' has no parameter {', '.join(unknown)}; its parameters are "
+                f"{', '.join(declared) or 'none: declare them with DefineConstant'}."
+            )
         open_file(gmsh, source, parameters)
     if suffix in CAD_SUFFIXES:
         box = " x ".join(f"{length:.4g}" for length in np.ptp(_box(gmsh.model, -1, -1), axis=0))
@@ -258,25 +274,6 @@ def _mesh(gmsh: Any, path: Path, size: Any) -> None:
     if len(kinds) > 1:
         names = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise MeshError(f"'{path}' mixes cells: {', '.join(names)}. Mesh it with one type of cell.")
-
-
-def check_parameters(gmsh: Any, path: Path, parameters: Mapping[str, float]) -> None:
-    """Check that a `.geo` file, which Gmsh has opened, declares the names of all parameters."""
-    if path.suffix.lower() != ".geo":
-        raise InputError(
-            f"'{path}' takes no parameters, found {', '.join(parameters)}. Read the .geo file that "
-            "it was made from instead."
-        )
-    names = gmsh.parser.getNames()
-    unknown = [name for name in parameters if name not in names]
-    if unknown:  # Gmsh's list does not tell parameters from the file's own variables
-        text = path.read_text(errors="replace")
-        texts = " ".join(re.findall(r"DefineConstant\s*\[.*?\]\s*;", text, flags=re.S))
-        declared = [name for name in names if re.search(rf"\b{re.escape(name)}\b", texts)]
-        raise InputError(
-            f"'{path}' has no parameter {', '.join(unknown)}; its parameters are "
-            f"{', '.join(declared) or 'none: declare them with DefineConstant'}."
-        )
 
 
 def name_groups(model: Any, name: str) -> None:
@@ -350,10 +347,12 @@ def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
         """Add a field, a size of cells or a distance at each point, and return its number."""
         tag, new = int(model.mesh.field.add(kind)), model.mesh.field
         for option, value in settings.items():
-            (new.setNumbers if isinstance(value, list) else new.setNumber)(tag, option, value)
+            set_value = new.setNumbers if isinstance(value, list) else new.setNumber
+            set_value(tag, option, value)
         return tag
 
-    bodies_option, faces_option = ("VolumesList", "SurfacesList", "CurvesList")[3 - dim :][:2]
+    # the options of fields that list bodies or faces, by their dimension
+    list_of_dim = {3: "VolumesList", 2: "SurfacesList", 1: "CurvesList"}
     # number, body and box of each face
     faces = [
         (abs(face), entity, *_box(model, dim - 1, abs(face)))
@@ -362,7 +361,7 @@ def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
     ]
     for entity, body in bodies.items():
         h = float(given.get(body, model.occ.getMass(dim, entity) ** (1.0 / dim) / 6.0))
-        fields.append(field("Constant", VIn=h, **{bodies_option: [entity]}))
+        fields.append(field("Constant", VIn=h, **{list_of_dim[dim]: [entity]}))
         # faces of other bodies whose boxes are less than h away from the box of this body
         low, high = _box(model, dim, entity)
         near = [
@@ -371,10 +370,10 @@ def set_sizes(model: Any, size: float | Mapping[str, float], name: str) -> None:
             if owner != entity and (least <= high + h).all() and (largest >= low - h).all()
         ]
         if near:
-            distance = field("Distance", Sampling=20, **{faces_option: sorted(near)})
+            distance = field("Distance", Sampling=20, **{list_of_dim[dim - 1]: sorted(near)})
             limits = {"SizeMin": 0.5 * h, "SizeMax": h, "DistMin": 0.5 * h, "DistMax": 3.0 * h}
             growing = field("Threshold", InField=distance, **limits)
-            fields.append(field("Restrict", InField=growing, **{bodies_option: [entity]}))
+            fields.append(field("Restrict", InField=growing, **{list_of_dim[dim]: [entity]}))
     model.mesh.field.setAsBackgroundMesh(field("Min", FieldsList=fields))
 
 
@@ -424,23 +423,24 @@ def _check_facets(model: Any, path: Path) -> None:
     """
     mesh, dim = model.mesh, model.getDimension()
     (cell,) = mesh.getElementTypes(dim)
-    groups, bodies = (_grouped_entities(model, entity_dim) for entity_dim in (dim - 1, dim))
+    groups = _grouped_entities(model, dim - 1)
+    bodies = _grouped_entities(model, dim)
     for kind in mesh.getElementTypes(dim - 1):
         # corner nodes (n, corners) and tags (n,) of facets, each with `count` nodes
-        *_, count, _, corners = mesh.getElementProperties(kind)
+        _, _, _, count, _, corners = mesh.getElementProperties(kind)
         elements = [mesh.getElementsByType(kind, entity)[1] for _, entity in groups]
         tags = np.repeat([tag for tag, _ in groups], [len(nodes) // count for nodes in elements])
         facets = np.concatenate(elements).reshape(-1, count)[:, :corners]
-        # corner nodes (m, corners) of those faces of cells that may be facets
-        nodes_of_faces = partial(mesh.getElementFaceNodes, faceType=corners)
-        read = mesh.getElementEdgeNodes if dim == 2 else nodes_of_faces
-        faces = np.concatenate([read(cell, tag=body, primary=True) for _, body in bodies])
-        faces = faces.reshape(-1, corners)
+        # corner nodes (m, corners) of the faces of cells; those that may be facets are kept
+        nodes_of_sides = partial(mesh.getElementFaceNodes, faceType=corners)
+        nodes_of_faces = mesh.getElementEdgeNodes if dim == 2 else nodes_of_sides
+        faces_of_bodies = [nodes_of_faces(cell, tag=body, primary=True) for _, body in bodies]
+        faces = np.concatenate(faces_of_bodies).reshape(-1, corners)
         faces = faces[np.isin(faces, facets).all(axis=1)]
         # faces (m,) and facets (n,) have the same number if they have the same nodes in any order
         sets = np.sort(np.concatenate([faces, facets]), axis=1)
         number = np.unique(sets, axis=0, return_inverse=True)[1].ravel()
-        face, facet = np.split(number, [len(faces)])
+        face, facet = number[: len(faces)], number[len(faces) :]
         wrong = tags[~np.isin(facet, face)]
         if len(wrong):
             raise MeshError(

@@ -51,7 +51,8 @@ class RigidMotion:
         """
         turn = Rotation.from_matrix(end.rotation @ self.rotation.T) ** fraction
         R = turn.as_matrix() @ self.rotation
-        before, after = (motion.applied_to(centre[:, None])[:, 0] for motion in (self, end))
+        before = self.applied_to(centre[:, None])[:, 0]
+        after = end.applied_to(centre[:, None])[:, 0]
         return RigidMotion(R, (1.0 - fraction) * before + fraction * after - R @ centre)
 
     def applied_to(self, points: Array) -> Array:
@@ -209,13 +210,15 @@ class RigidObstacle:
             points = pyvista.PolyData(np.array(x.T))
             signed = points.compute_implicit_distance(surface)["implicit_distance"]
             cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
-            weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
+            offsets = places - corners[cells, 0]
+            weights = np.einsum("nij,nj->ni", weights_of[cells], offsets)  # of two corners
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
             if bends.n_cells and facet_size < np.inf:  # beyond this size, flat normals
                 _, nearest = bends.find_closest_cell(places, return_closest_point=True)
                 away = np.linalg.norm(places - nearest, axis=1) / facet_size
-                normal += np.clip(2.0 * away - 1.0, 0.0, 1.0)[:, None] * (flat[cells] - normal)
+                flatness = np.clip(2.0 * away - 1.0, 0.0, 1.0)
+                normal += flatness[:, None] * (flat[cells] - normal)
             return signed, unit(normal).T
 
         obstacle = RigidObstacle(distance, f"the body in {Path(path).name}")
@@ -409,12 +412,13 @@ class RigidSphere(RigidObstacle):
         """
         c = _present(_coordinates, "center", center)
         r = _present(checked_number, "radius", radius)
+
+        def distance(x: Array) -> tuple[Array, Array]:
+            return _spherical_distance(x - c()[:, None], r(), hollow)
+
         kind = "hollow sphere" if hollow else "sphere"
-        super().__init__(
-            lambda x: _spherical_distance(x - c()[:, None], r(), hollow),
-            f"a rigid {kind} around {numbers_text(c())} of radius {r():g}",
-            _constants_of(center, radius),
-        )
+        name = f"a rigid {kind} around {numbers_text(c())} of radius {r():g}"
+        super().__init__(distance, name, _constants_of(center, radius))
         self.centre = c()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -128,9 +127,38 @@ class ContactPair:
                 tags in common, an obstacle has a preload, or bonded surfaces have a gap.
         """
         kind = "dolfinx.mesh.MeshTags of facets, of type int32, such as read_gmsh(...).facet_tags"
-        tags = getattr(self.facet_tags, "_cpp_object", self.facet_tags)
-        check_type("facet_tags", tags, MeshTags_int32, kind)
-        self._merge_lists_of_tags()
+        facet_tags = getattr(self.facet_tags, "_cpp_object", self.facet_tags)
+        check_type("facet_tags", facet_tags, MeshTags_int32, kind)
+        tags_of_side: dict[SideName, list[int]] = {}  # each tag once; without a rigid obstacle
+        for side in SIDES:
+            given = getattr(self, side)
+            if side == "primary" and isinstance(given, RigidObstacle):
+                continue
+            entries = given if isinstance(given, Sequence) else [given]
+            integers = [integer(entry) for entry in entries]  # None: no integer
+            tags = list(dict.fromkeys(tag for tag in integers if tag is not None))
+            if not tags or None in integers or max(map(abs, tags)) > np.iinfo(np.int32).max:
+                obstacle = ", or a RigidObstacle" if side == "primary" else ""
+                raise InputError(
+                    f"{side} must be the integer tag of a surface, or a list of integer tags"
+                    f'{obstacle}, found {shown(given)}. Tags are in read_gmsh(...).tags["name"].'
+                )
+            tags_of_side[side] = tags
+        secondary, primary = tags_of_side["secondary"], tags_of_side.get("primary", [])
+        common = [tag for tag in secondary if tag in primary]
+        if common and set(secondary) != set(primary):
+            raise InputError(
+                f"the tags {shown(common)} are on both sides, and others are not: give two lists "
+                "without common tags, or the same list twice."
+            )
+        if common:  # equal lists may have different orders; both sides get the same first tag
+            tags_of_side["primary"] = secondary
+        # a list of tags becomes one tag, of one surface in `MergedTags`
+        for side, tags in tags_of_side.items():
+            object.__setattr__(self, side, tags[0])
+        lists = [tags for tags in tags_of_side.values() if len(tags) > 1]
+        if lists:
+            object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
         laws = "a law such as Tresca(0.1), Coulomb(0.3), Frictionless() or Bonded()"
         check_type("friction", self.friction, Friction, laws)
         check_word("pairing", self.pairing, get_args(Pairing))
@@ -144,39 +172,6 @@ class ContactPair:
             if isinstance(self.friction, Bonded):
                 raise InputError("bonded surfaces keep their initial gap: leave out the gap.")
         check_type("name", self.name, str | None, "a string")
-
-    def _merge_lists_of_tags(self) -> None:
-        """Replace a list of tags by its first tag; `facet_tags` become `MergedTags`."""
-        secondary, primary = (self._checked_tags(name) for name in SIDES)
-        common = [tag for tag in secondary if tag in primary]
-        if common and set(secondary) != set(primary):
-            raise InputError(
-                f"the tags {shown(common)} are on both sides, and others are not: give two lists "
-                "without common tags, or the same list twice."
-            )
-        # equal lists may have different orders; both sides get the same first tag
-        sides = {"secondary": secondary, "primary": secondary if common else primary}
-        for name, tags in sides.items():
-            if tags:
-                object.__setattr__(self, name, tags[0])
-        lists = [tags for tags in sides.values() if len(tags) > 1]
-        if lists:
-            object.__setattr__(self, "facet_tags", MergedTags(self.facet_tags, lists))
-
-    def _checked_tags(self, which: SideName) -> tuple[int, ...]:
-        """Return the tags that the user gave for a side, checked, each once; () for an obstacle."""
-        given = getattr(self, which)
-        if which == "primary" and isinstance(given, RigidObstacle):
-            return ()
-        tags = [integer(tag) for tag in (given if isinstance(given, Sequence) else [given])]
-        numbers = tuple(dict.fromkeys(tag for tag in tags if tag is not None))
-        if not tags or None in tags or max(map(abs, numbers)) > np.iinfo(np.int32).max:
-            obstacle = ", or a RigidObstacle" if which == "primary" else ""
-            raise InputError(
-                f"{which} must be the integer tag of a surface, or a list of integer tags"
-                f'{obstacle}, found {shown(given)}. Tags are in read_gmsh(...).tags["name"].'
-            )
-        return numbers
 
     @property
     def cell_tags(self) -> NamedTags | None:
@@ -200,12 +195,12 @@ class ContactPair:
 
     def given_tags(self, which: SideName) -> tuple[Any, tuple[int, ...]]:
         """Return the MeshTags that the user gave, and all tags of a side; () for an obstacle."""
-        tag, tags = getattr(self, which), self.facet_tags
+        tag = getattr(self, which)
         if isinstance(tag, RigidObstacle):
-            return tags, ()
-        if isinstance(tags, MergedTags):
-            return tags.given, tags.merged.get(tag, (tag,))
-        return tags, (tag,)
+            return self.facet_tags, ()
+        if isinstance(self.facet_tags, MergedTags):
+            return self.facet_tags.given, self.facet_tags.merged.get(tag, (tag,))
+        return self.facet_tags, (tag,)
 
     def __repr__(self) -> str:
         return f"<ContactPair: {self}, {self.friction}>"
@@ -257,7 +252,8 @@ def checked_pairs(pairs: Sequence[ContactPair]) -> list[ContactPair]:
             given, tags = pair.given_tags(which)
             owner = getattr(given, "_cpp_object", given)
             sides.append([(owner, tag) for tag in tags] or [pair.primary])
-        surfaces = set(map(frozenset, product(*sides)))
+        secondary, primary = sides
+        surfaces = {frozenset((surface, facing)) for surface in secondary for facing in primary}
         if surfaces & earlier:
             raise InputError(
                 f"two pairs are between the surfaces {pair.side('secondary')} and "
@@ -281,7 +277,7 @@ class _OnPair:
         checked_integer("pair", self.pair, 0)
         for name, value in vars(self).items():
             if name in ("point", "direction"):
-                checked_vector(name, value, 2, 3, nonzero=name == "direction")
+                checked_vector(name, value, 2, 3, nonzero=(name == "direction"))
             elif name in ("radius", "exponent"):
                 interval = "(0, inf)" if name == "radius" else "[1, inf)"
                 object.__setattr__(self, name, checked_number(name, value, interval))
