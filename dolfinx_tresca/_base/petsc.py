@@ -40,19 +40,21 @@ class PetscOwner(ABC):
             self.destroy()
 
 
+#: References of communicators that were freed since the last `free_unused` (`_REFERENCE`).
+_unused_references: list[Any] = []
+
+
 def free_unused(comm: MPI.Comm) -> None:
     """Free those PETSc objects on a communicator that no rank uses any more. Collective.
 
-    On several ranks petsc4py keeps objects that Python has dropped until this call, which drops
-    `_unused_references` as well. For objects on a mesh the communicator is `mesh.comm`.
+    On several ranks petsc4py keeps objects that Python has dropped until this call. Then PETSc's
+    duplicates of freed communicators, which these objects needed, go as well. For objects on a mesh
+    the communicator is `mesh.comm`.
     """
     if comm.size > 1:
         PETSc.garbage_cleanup(comm)
         _unused_references.clear()
 
-
-#: References to PETSc's duplicates of communicators that were freed since the last `free_unused`.
-_unused_references: list[Any] = []
 
 #: Attribute of a communicator: a reference to PETSc's duplicate of it, kept while it exists.
 _REFERENCE = MPI.Comm.Create_keyval(

@@ -153,12 +153,16 @@ class Bodies:
             surface.lift(v)
             for cell, facet, tractions in surface.sides:
                 given[cell, facet, :d] += tractions
-        # `discrete` is a stress in discrete equilibrium with `given`: `force` at vertices balances
-        # the hat functions, for any degree of V. Its tractions take the place of unknown ones.
-        of_u, force = self.loading_of(u), zero_like(u, "force")
-        missing, vertices = cells.resultants(given - of_u), np.einsum("nkk->nk", cells.nodes)
-        force.x.array[:] = summed_at_nodes(self.V.dofmap.index_map, vertices, missing).ravel()
-        discrete = of_u + self.loading_of(self.response(dual, force, rtol=1e-12))
+        # the stress of u does not balance `given`: the forces at vertices that it lacks act in one
+        # more solve, with whose stress `discrete` balances hat functions, for any degree of V
+        of_u = self.loading_of(u)
+        unbalanced = cells.resultants(given - of_u)  # (n, d + 1, d)
+        vertices = np.einsum("nkk->nk", cells.nodes)  # nodes[n, k, k] is at vertex k
+        lacking = zero_like(u, "force")
+        lacking.x.array[:] = summed_at_nodes(self.V.dofmap.index_map, vertices, unbalanced).ravel()
+        discrete = of_u + self.loading_of(self.response(dual, lacking, rtol=1e-12))
+        # its tractions take the place of unknown ones; then stars of cells change them, such that
+        # each cell is in exact equilibrium
         np.copyto(given[:, :, :d], discrete[:, :, :d], where=self.unknown[:, :, None])
         loading = self.stars.equilibrated(given, discrete)
         self._check_equilibrium(loading, of_u)

@@ -137,7 +137,10 @@ class LinearSystem(PetscOwner):
         return {"a": self.form, "L": self.loads, "bcs": self.bcs}
 
     def check_displacement(self, name: str, u: Any, choices: str = "") -> None:
-        """Check that u is a displacement; errors say its name and other `choices`. Collective."""
+        """Check that u is a finite displacement. Collective.
+
+        Errors say its name; that of a wrong type names other `choices` as well.
+        """
         if not isinstance(u, fem.Function) or u.function_space != self.V:
             raise InputError(
                 f"{name} must be a displacement: a Function on the space of solution.u,{choices} "
