@@ -294,22 +294,24 @@ class NonlinearContactProblem(ContactProcess):
         finally:
             self._contact.end_load(run.fraction)
         self._contact.state = replace(self._contact.state, end=self.u.x.array.copy())
-        released, snaps = np.nan, False
-        if run.fraction == 1.0:
-            released, snaps = balance.released(run.start)
+        released, snaps = balance.released(run.start) if run.fraction == 1.0 else (np.nan, False)
         if snaps:
-            text = (
+            warn(
+                self.comm,
                 "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
                 "stored nor dissipated by friction. A quasi-static solution does not tell the path "
-                "to this equilibrium"
+                "to this equilibrium",
+                self._solves,
+                released,
             )
-            warn(self.comm, text, self._solves, released)
         if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
-            text = (
+            warn(
+                self.comm,
                 "solve number %d took %d Newton steps: its change of load is too large, or bodies "
-                "snap or are unstable. More load steps, each with a smaller change, may be faster"
+                "snap or are unstable. More load steps, each with a smaller change, may be faster",
+                self._solves,
+                len(run.steps),
             )
-            warn(self.comm, text, self._solves, len(run.steps))
         if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "

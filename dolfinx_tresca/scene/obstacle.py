@@ -210,8 +210,7 @@ class RigidObstacle:
             points = pyvista.PolyData(np.array(x.T))
             signed = points.compute_implicit_distance(surface)["implicit_distance"]
             cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
-            offsets = places - corners[cells, 0]
-            weights = np.einsum("nij,nj->ni", weights_of[cells], offsets)  # of two corners
+            weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
             if bends.n_cells and facet_size < np.inf:  # beyond this size, flat normals
@@ -416,8 +415,8 @@ class RigidSphere(RigidObstacle):
         def distance(x: Array) -> tuple[Array, Array]:
             return _spherical_distance(x - c()[:, None], r(), hollow)
 
-        kind = "hollow sphere" if hollow else "sphere"
-        name = f"a rigid {kind} around {numbers_text(c())} of radius {r():g}"
+        place = f"around {numbers_text(c())} of radius {r():g}"
+        name = f"a rigid {'hollow ' if hollow else ''}sphere {place}"
         super().__init__(distance, name, _constants_of(center, radius))
         self.centre = c()
 
