@@ -30,9 +30,6 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import SolverRequest, StiffnessMethod
 from dolfinx_tresca.table import Row, Units
 
-#: Rows of the table that nonlinear bodies omit: they would describe the last Newton step alone.
-OF_LINEAR_BODIES = ("energy error", "energy")
-
 
 @dataclass(frozen=True, repr=False)
 class NonlinearContactSolution(ContactSolution):
@@ -53,7 +50,8 @@ class NonlinearContactSolution(ContactSolution):
 
     def _rows(self) -> list[Row]:
         newton = f"{len(self.newton.steps)} steps, residual {self.newton.residual:.1e}"
-        rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
+        # energies would be those of the last Newton step alone
+        rows = [row for row in super()._rows() if row[0] not in ("energy error", "energy")]
         rows.insert(1, ("Newton", newton))
         if self.newton.snaps:
             rows.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))

@@ -123,9 +123,6 @@ ON_SURFACE = 1e-5
 #: Rounding error of projected points, relative to the size of the surface.
 PROJECTION_ROUNDING = 1e-8
 
-#: Gmsh's type of a surface of its built-in kernel that was not made as a plane.
-BUILT_IN_SURFACE = "Surface"
-
 
 @dataclass(frozen=True)
 class GmshGeometry:
@@ -302,9 +299,11 @@ def _nearest_points(
 
 def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
     """Return the points (3, n) of a surface or a curve (dim, number) nearest to points (3, n)."""
-    if model.getType(*entity) == BUILT_IN_SURFACE and not _is_flat(model, *entity):
+    # "Surface": the type of surfaces of Gmsh's built-in kernel that were not made as planes
+    if model.getType(*entity) == "Surface" and not _is_flat(model, *entity):
         return _nearest_by_gauss_newton(model, entity[1], points)
-    nearest = np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
+    closest = model.getClosestPoint(*entity, points.T.ravel())[0]
+    nearest = np.reshape(closest, (-1, 3)).T
     ends = model.getParametrizationBounds(*entity) if entity[0] == 1 else ()
     # OpenCASCADE's search misses the end of an arc that ends where its circle begins
     for end in np.ravel(ends):
