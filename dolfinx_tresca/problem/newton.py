@@ -452,18 +452,17 @@ class Newton:
         half of the steps, becomes 1 within as many. Rates are those of the least error so far,
         since Anderson's acceleration makes errors of the configuration jump up and down.
         """
-        number, allowed = len(errors), self.options.max_iterations
-        most = MAX_ITERATIONS_FACTOR * allowed
+        most, number = self.options.max_iterations, len(errors)
         snaps = any(step.is_proximal for step in self.steps[-number:])
         snaps |= self._sliding is not None and self._sliding.snaps
-        if number < allowed or (snaps and number < most):
+        if number < most or (snaps and number < MAX_ITERATIONS_FACTOR * most):
             return True
         middle = (number - 1) // 2
         least, least_before = min(errors), min(errors[: middle + 1])
         if number == 1 or not 0.0 < least < least_before < math.inf:
             return False
         rate = (least / least_before) ** (1.0 / (number - 1 - middle))
-        return bool(least * rate ** (most - number) <= 1.0)
+        return bool(least * rate ** (MAX_ITERATIONS_FACTOR * most - number) <= 1.0)
 
     def _step(self) -> ContactSolution:
         """Solve a contact problem with the least of `ADDED` that makes K definite. Collective."""

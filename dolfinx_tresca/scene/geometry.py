@@ -293,7 +293,8 @@ def _nearest_points(
         candidate = _nearest(model, entity, points)
         away = np.linalg.norm(candidate - points, axis=0)
         nearer = away < distance
-        nearest[:, nearer], distance[nearer] = candidate[:, nearer], away[nearer]
+        nearest[:, nearer] = candidate[:, nearer]
+        distance[nearer] = away[nearer]
     return nearest, distance
 
 
