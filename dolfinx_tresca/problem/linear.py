@@ -336,9 +336,11 @@ class ContactProblem(ContactProcess):
         """
         bodies, solved, gain = self._checked_for_bounds(gain)
         contact, linear = self._contact, self._contact.linear
-        functional, u = bound.Functional(goal, bodies, solved.dual), solved.fields.u
+        functional = bound.Functional(goal, bodies, solved.dual)
+        u = solved.fields.u
         size = solved.dual.norm_of(u) or self.guaranteed_error(gain=gain).error
-        multiple, (_, L) = fem.Constant(self.mesh, 0.0), linear.ufl_forms
+        multiple = fem.Constant(self.mesh, 0.0)
+        _, L = linear.ufl_forms
         load = multiple * functional.form if L is None else L + multiple * functional.form
         # the bounds are differences of these solves, divided by the multiple of the goal
         options = self.options.with_changes(rtol=SMALLEST_TOLERANCE)

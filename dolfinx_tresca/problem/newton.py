@@ -41,7 +41,8 @@ BALANCE = 100.0
 #: enough: with added stiffness it converges linearly, and steps cost less than a smaller load.
 MAX_ITERATIONS_FACTOR = 4
 
-#: The entries of `ADDED` with springs alone, at first none.
+#: The entries of `ADDED` with springs alone, which do not change the iterates as long as nodes stay
+#: in contact. The entries after them slow Newton's method down.
 SPRINGS_ALONE = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0))
 
 #: Stiffness that is added to a tangent which is not positive definite, in the order of trial: the
@@ -50,10 +51,6 @@ SPRINGS_ALONE = ((0.0, 0.0), (10.0, 0.0), (1000.0, 0.0))
 #: with springs of 1; springs of 10,000 almost prevent sliding. The least factor that suffices takes
 #: the fewest steps: with 0.1 and 1 only, an arch that a ball pushes through takes 404, not 57.
 ADDED = SPRINGS_ALONE + tuple((10.0, factor) for factor in (0.01, 0.03, 0.1, 0.3, 1.0))
-
-#: Index of the first entry of `ADDED` that slows Newton's method down. The springs of earlier
-#: entries do not change the iterates as long as nodes stay in contact.
-FIRST_SLOW = len(SPRINGS_ALONE)
 
 #: Bodies have snapped if they release more than `SNAP` times the energy that they exchange with
 #: contact or store, whichever is larger, and move more than `FAR` times as far as obstacles and
@@ -426,7 +423,7 @@ class Newton:
         scale = scale or problem.rounding_norm() / self.options.accuracy
         # sums may differ between ranks in the last digit, verdicts must not
         scale, correction, residual = problem.comm.bcast((scale, change / scale, residual / scale))
-        springs, proximal = ADDED[self.level]  # the second is added to the first only
+        springs, proximal = ADDED[self.level]  # proximal stiffness is added to springs only
         added = f"contact {springs:g}" if springs > 0.0 else ""
         if proximal > 0.0:
             added += f", proximal {proximal:g}"
@@ -455,23 +452,22 @@ class Newton:
         half of the steps, becomes 1 within as many. Rates are those of the least error so far,
         since Anderson's acceleration makes errors of the configuration jump up and down.
         """
-        number, allowed = len(errors), self.options.max_iterations
-        most = MAX_ITERATIONS_FACTOR * allowed
+        most, number = self.options.max_iterations, len(errors)
         snaps = any(step.is_proximal for step in self.steps[-number:])
         snaps |= self._sliding is not None and self._sliding.snaps
-        if number < allowed or (snaps and number < most):
+        if number < most or (snaps and number < MAX_ITERATIONS_FACTOR * most):
             return True
         middle = (number - 1) // 2
         least, least_before = min(errors), min(errors[: middle + 1])
         if number == 1 or not 0.0 < least < least_before < math.inf:
             return False
         rate = (least / least_before) ** (1.0 / (number - 1 - middle))
-        return bool(least * rate ** (most - number) <= 1.0)
+        return bool(least * rate ** (MAX_ITERATIONS_FACTOR * most - number) <= 1.0)
 
     def _step(self) -> ContactSolution:
         """Solve a contact problem with the least of `ADDED` that makes K definite. Collective."""
         # Springs that were needed once are kept; after a slow level, the level below is tried.
-        lowest = self.level - 1 if self.level >= FIRST_SLOW else self.level
+        lowest = self.level - 1 if self.level >= len(SPRINGS_ALONE) else self.level
         for level in range(lowest, len(ADDED)):
             try:
                 self.level = level

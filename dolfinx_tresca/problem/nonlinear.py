@@ -30,9 +30,6 @@ from dolfinx_tresca.status import ContactStatus
 from dolfinx_tresca.stiffness.choice import SolverRequest, StiffnessMethod
 from dolfinx_tresca.table import Row, Units
 
-#: Rows of the table that nonlinear bodies omit: they would describe the last Newton step alone.
-OF_LINEAR_BODIES = ("energy error", "energy")
-
 
 @dataclass(frozen=True, repr=False)
 class NonlinearContactSolution(ContactSolution):
@@ -53,7 +50,8 @@ class NonlinearContactSolution(ContactSolution):
 
     def _rows(self) -> list[Row]:
         newton = f"{len(self.newton.steps)} steps, residual {self.newton.residual:.1e}"
-        rows = [row for row in super()._rows() if row[0] not in OF_LINEAR_BODIES]
+        # energies would be those of the last Newton step alone
+        rows = [row for row in super()._rows() if row[0] not in ("energy error", "energy")]
         rows.insert(1, ("Newton", newton))
         if self.newton.snaps:
             rows.insert(2, ("released", f"energy {self.newton.released:.4g}: bodies snap"))
@@ -294,22 +292,24 @@ class NonlinearContactProblem(ContactProcess):
         finally:
             self._contact.end_load(run.fraction)
         self._contact.state = replace(self._contact.state, end=self.u.x.array.copy())
-        released, snaps = np.nan, False
-        if run.fraction == 1.0:
-            released, snaps = balance.released(run.start)
+        released, snaps = balance.released(run.start) if run.fraction == 1.0 else (np.nan, False)
         if snaps:
-            text = (
+            warn(
+                self.comm,
                 "bodies snap in solve number %d: they release an energy of %.4g, which is neither "
                 "stored nor dissipated by friction. A quasi-static solution does not tell the path "
-                "to this equilibrium"
+                "to this equilibrium",
+                self._solves,
+                released,
             )
-            warn(self.comm, text, self._solves, released)
         if len(run.steps) > 2 * newton.max_iterations:  # most load steps take 4 to 8
-            text = (
+            warn(
+                self.comm,
                 "solve number %d took %d Newton steps: its change of load is too large, or bodies "
-                "snap or are unstable. More load steps, each with a smaller change, may be faster"
+                "snap or are unstable. More load steps, each with a smaller change, may be faster",
+                self._solves,
+                len(run.steps),
             )
-            warn(self.comm, text, self._solves, len(run.steps))
         if run.solution is None:
             raise StiffnessError(
                 f"{run.failure}. This is at the displacement u that the solve starts from: begin "

@@ -305,6 +305,7 @@ class TangentProblem(ContactSystem):
         a spring is the factor times the stiffness of the row's node. Collective.
         """
         jump, tangent = self.jump, self.tangent
+        # j - B u, for u_k with the prescribed values of the present fraction
         u = fem.Function(tangent.space)
         u.x.array[:] = self.u.x.array
         owned = u.x.array[: len(tangent.prescribed)]
@@ -322,9 +323,9 @@ class TangentProblem(ContactSystem):
         rows.array = np.sqrt(factor * in_contact * self._stiffness_for[1])  # C^(1/2)
         columns.array = np.where(tangent.prescribed, 0.0, 1.0)
         B.diagonalScale(rows, columns)  # C^(1/2) B_a, zero in prescribed columns
-        springs = B.transposeMatMult(B)
+        springs = B.transposeMatMult(B)  # B_a'C B_a
         rows.array *= missing  # C^(1/2) (j - B_a u_k)
-        B.multTranspose(rows, columns)
+        B.multTranspose(rows, columns)  # B_a'C (j - B_a u_k)
         return springs, np.array(columns.array)
 
     def _rows_in_contact(self) -> Mask:
@@ -438,6 +439,7 @@ class TangentProblem(ContactSystem):
         entries = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] / K.size[0]
         terms = np.abs(K.getDiagonal().array[moves]) * self.u.x.array[: len(moves)][moves] ** 2
         total = entries * self.comm.allreduce(float(terms.sum()))
+        # |X|_K
         nodes = V.dofmap.index_map
         x = V.tabulate_dof_coordinates()[: nodes.size_local, : V.mesh.geometry.dim]
         middle = self.comm.allreduce(x.sum(axis=0)) / nodes.size_global

@@ -123,9 +123,6 @@ ON_SURFACE = 1e-5
 #: Rounding error of projected points, relative to the size of the surface.
 PROJECTION_ROUNDING = 1e-8
 
-#: Gmsh's type of a surface of its built-in kernel that was not made as a plane.
-BUILT_IN_SURFACE = "Surface"
-
 
 @dataclass(frozen=True)
 class GmshGeometry:
@@ -265,12 +262,8 @@ def _samples(model: Any, dim: int, entity: int, per_axis: int) -> tuple[Array, A
     axes = np.linspace(low, high, per_axis).T  # (dim, per_axis)
     grid = np.meshgrid(*axes)  # an array for each parameter
     parameters = np.stack(grid, axis=-1).reshape(-1, dim)
-    return parameters, _points_at(model, dim, entity, parameters)
-
-
-def _points_at(model: Any, dim: int, entity: int, parameters: Array) -> Array:
-    """Return the points (n, 3) of a surface or a curve at parameters (n, dim)."""
-    return np.reshape(model.getValue(dim, entity, parameters.ravel()), (-1, 3))
+    points = np.reshape(model.getValue(dim, entity, parameters.ravel()), (-1, 3))
+    return parameters, points
 
 
 def _project_to_surfaces(model: Any, dim: int, entities: Sequence[int], points: Array) -> Array:
@@ -300,15 +293,18 @@ def _nearest_points(
         candidate = _nearest(model, entity, points)
         away = np.linalg.norm(candidate - points, axis=0)
         nearer = away < distance
-        nearest[:, nearer], distance[nearer] = candidate[:, nearer], away[nearer]
+        nearest[:, nearer] = candidate[:, nearer]
+        distance[nearer] = away[nearer]
     return nearest, distance
 
 
 def _nearest(model: Any, entity: tuple[int, int], points: Array) -> Array:
     """Return the points (3, n) of a surface or a curve (dim, number) nearest to points (3, n)."""
-    if model.getType(*entity) == BUILT_IN_SURFACE and not _is_flat(model, *entity):
+    # "Surface": the type of surfaces of Gmsh's built-in kernel that were not made as planes
+    if model.getType(*entity) == "Surface" and not _is_flat(model, *entity):
         return _nearest_by_gauss_newton(model, entity[1], points)
-    nearest = np.reshape(model.getClosestPoint(*entity, points.T.ravel())[0], (-1, 3)).T
+    closest = model.getClosestPoint(*entity, points.T.ravel())[0]
+    nearest = np.reshape(closest, (-1, 3)).T
     ends = model.getParametrizationBounds(*entity) if entity[0] == 1 else ()
     # OpenCASCADE's search misses the end of an arc that ends where its circle begins
     for end in np.ravel(ends):
@@ -331,11 +327,11 @@ def _nearest_by_gauss_newton(model: Any, surface: int, points: Array) -> Array:
     parameters = grid[cKDTree(samples).query(points.T)[1]]
     for _ in range(20):  # on the surfaces of the package's meshes it takes three steps
         tangents = np.reshape(model.getDerivative(2, surface, parameters.ravel()), (-1, 2, 3))
+        places = np.reshape(model.getValue(2, surface, parameters.ravel()), (-1, 3))
         # Gauss-Newton: parameters' step with which the tangent plane comes nearest to the point
-        offsets = points.T - _points_at(model, 2, surface, parameters)  # (n, 3)
-        step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ offsets[:, :, None]  # (n, 2, 1)
+        step = np.linalg.pinv(tangents.swapaxes(1, 2)) @ (points.T - places)[:, :, None]
         previous, parameters = parameters, np.clip(parameters + step[:, :, 0], low, high)
         shifts = np.einsum("ni,nik->nk", parameters - previous, tangents)
         if np.abs(shifts).max(initial=0.0) <= rounding:
             break
-    return _points_at(model, 2, surface, parameters).T
+    return np.reshape(model.getValue(2, surface, parameters.ravel()), (-1, 3)).T

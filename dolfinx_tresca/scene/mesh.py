@@ -39,9 +39,6 @@ MESHES = Path(__file__).parents[1] / "meshes"  #: the folder of the demos' `.geo
 #: Least number of cells round a full turn of a curved surface of a CAD model.
 CELLS_PER_TURN = 24
 
-#: Label that OpenCASCADE writes into STEP files for shapes without a name.
-NO_NAME = "Open CASCADE STEP translator"
-
 
 class NamedTags(MeshTags):  # type: ignore[misc]
     """`dolfinx.mesh.MeshTags` with the names of the tags, for messages and tables.
@@ -294,7 +291,9 @@ def name_groups(model: Any, name: str) -> None:
     def add(entity: tuple[int, int], default: str) -> str:
         """Make a group of an entity, and return its name: the label made unique, or the default."""
         label = model.getEntityName(*entity).rpartition("/")[2]
-        label = default if not label or label.startswith(NO_NAME) else label
+        # STEP files of OpenCASCADE have this label for shapes without a name
+        if not label or label.startswith("Open CASCADE STEP translator"):
+            label = default
         same = sum(word == label or word.startswith(f"{label} (") for word in names)
         unique = f"{label} ({same + 1})" if same else label
         names.add(unique)

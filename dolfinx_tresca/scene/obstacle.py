@@ -210,13 +210,14 @@ class RigidObstacle:
             points = pyvista.PolyData(np.array(x.T))
             signed = points.compute_implicit_distance(surface)["implicit_distance"]
             cells, places = smoothed.find_closest_cell(points.points, return_closest_point=True)
-            offsets = places - corners[cells, 0]
-            weights = np.einsum("nij,nj->ni", weights_of[cells], offsets)  # of two corners
+            # the weights (n, 3) of the triangles' corners at the nearest places
+            weights = np.einsum("nij,nj->ni", weights_of[cells], places - corners[cells, 0])
             weights = np.column_stack([1.0 - weights.sum(axis=1), weights])
             normal = np.einsum("ni,nij->nj", weights, normals[cells])
             if bends.n_cells and facet_size < np.inf:  # beyond this size, flat normals
                 _, nearest = bends.find_closest_cell(places, return_closest_point=True)
                 away = np.linalg.norm(places - nearest, axis=1) / facet_size
+                # from 0, up to half a facet's size away from an edge, to 1 at a facet's size
                 flatness = np.clip(2.0 * away - 1.0, 0.0, 1.0)
                 normal += flatness[:, None] * (flat[cells] - normal)
             return signed, unit(normal).T
@@ -416,8 +417,8 @@ class RigidSphere(RigidObstacle):
         def distance(x: Array) -> tuple[Array, Array]:
             return _spherical_distance(x - c()[:, None], r(), hollow)
 
-        kind = "hollow sphere" if hollow else "sphere"
-        name = f"a rigid {kind} around {numbers_text(c())} of radius {r():g}"
+        place = f"around {numbers_text(c())} of radius {r():g}"
+        name = f"a rigid {'hollow ' if hollow else ''}sphere {place}"
         super().__init__(distance, name, _constants_of(center, radius))
         self.centre = c()
 
