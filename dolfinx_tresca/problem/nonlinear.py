@@ -322,15 +322,13 @@ class NonlinearContactProblem(ContactProcess):
             status = ContactStatus.STOPPED if run.stopped else ContactStatus.NO_EQUILIBRIUM
             self._contact.state = self._contact.state.with_status(status)
             hint = f"Parts down to {0.5**newton.max_halvings:.3g} of the change were tried: allow "
-            hint += (
-                "smaller ones, more steps: NewtonOptions(max_halvings=..., max_iterations=...). "
-            )
+            hint += "smaller ones, more steps: NewtonOptions(max_halvings=..., max_iterations=...)."
             message = (
                 f"solve number {self._solves} reached {run.fraction:.4g} of its change of load: "
-                f"{run.failure}. {'' if run.stuck else hint}Look at `u`: bodies that snap through, "
-                "buckle or crease have no equilibrium nearby; free faces beside a sharp edge of "
-                "the contact fold sooner on finer meshes (take a coarser mesh there); cells that "
-                "are squeezed flat need another mesh."
+                f"{run.failure}. {'' if run.stuck else f'{hint} '}Look at `u`: bodies that snap "
+                "through, buckle or crease have no equilibrium nearby; free faces beside a sharp "
+                "edge of the contact fold sooner on finer meshes (take a coarser mesh there); "
+                "cells that are squeezed flat need another mesh."
             )
         record = NewtonRecord(
             tuple(run.steps), run.fraction, message, released, snaps, run.unbalanced, run.flips
